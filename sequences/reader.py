@@ -24,6 +24,7 @@ from sequences.yaml_text import MOST_BYTES, parse
 _TYPOGRAPHIC = "\u201c\u201d\u201e\u201f\u2018\u2019\u201a\u00ab\u00bb"
 
 Model = TypeVar("Model", bound=BaseModel)
+Model_co = TypeVar("Model_co", bound=BaseModel, covariant=True)
 
 
 class OptionSettings(dict[str, str]):
@@ -125,10 +126,10 @@ def _mapping(here: Any) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Located(Generic[Model]):
+class Located(Generic[Model_co]):
     """A checked document, with the place of each value in its file."""
 
-    value: Model
+    value: Model_co
     text: bytes  # The document's bytes, unchanged
     file: str  # The file's name, as the caller gave it
     tree: Tree

@@ -22,7 +22,7 @@ from bench.solve.offline_folder import SealedBy, offline_files, source_data
 from bench.solve.offline_options import StationFile, passport_of_file
 from bench.solve.results_content import other_software
 from bench.solve.sources import options_of_data
-from bench.stations.station import load_station
+from bench.stations.station import load_offline_station
 from calib.errors import CalibrationError
 from calib.target import StarTarget
 from drivers.errors import DriverError
@@ -85,7 +85,7 @@ def _check_station(described: Mapping[str, Any], findings: Findings) -> None:
         )
         return
     try:
-        target = asdict(load_station(str(path)).value.target.pattern())
+        target = asdict(load_offline_station(str(path)).value.target.pattern())
     except (BenchError, SequencesError) as error:
         findings.remarks.append(f"the target of the station file {path} cannot be read here: {error}")
         return

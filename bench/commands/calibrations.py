@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.commands.options import CheckedStation, together
+from bench.commands.options import STATION_NAME, together
 from bench.record.coverage import coverage_factor
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import exact, with_uncertainty
@@ -138,7 +138,7 @@ _OPTIONS = {
     "station": click.option(
         "--station",
         "-s",
-        type=CheckedStation(),
+        type=STATION_NAME,
         help="Station file that states target and collimator, for files that are of no run.",
     ),
     "board": click.option(

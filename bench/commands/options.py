@@ -318,21 +318,6 @@ SEQUENCE_NAME = _NameOrFile("sequences")
 STATION_NAME = _NameOrFile("bench/stations")
 
 
-class CheckedStation(_NameOrFile):
-    """A station file, or the name of a station that is included, that can be read."""
-
-    def __init__(self) -> None:
-        super().__init__("bench/stations")
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the value after reading the station. Raises DocumentFaults."""
-        from bench.stations.station import load_station
-
-        name = super().convert(value, param, ctx)
-        load_station(name)
-        return name
-
-
 ALLOWED_SIGNERS = click.option(
     "--allowed-signers", type=ExistingFile(), help="File of trusted keys.  [default: this bench's own]"
 )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
 from bench.plan.passport_file import passport_bytes, read_passport_file
-from bench.stations.station import Station
+from bench.stations.station import OfflineStation
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
 from calib.calibration import REFERENCE_MODELS
 from calib.model.collimator import CENTRE
@@ -200,7 +200,7 @@ def certificate_passport(collimator: CollimatorConfig, certificate: CertificateC
 
 def choose_passport(
     sequence: Located[Sequence],
-    station: Located[Station],
+    station: Located[OfflineStation],
     steps: tuple[Step, ...],
     *,
     copy: Path | None,
@@ -218,7 +218,7 @@ def choose_passport(
     return _checked(first, station.value.collimator, frozenset(used), copy, today)
 
 
-def station_passport(station: Located[Station], today: date) -> PassportChoice:
+def station_passport(station: Located[OfflineStation], today: date) -> PassportChoice:
     """Read and check the passport or certificate that a station states, for files that are of no run."""
     named = _of_station(station, other_accepted=False)
     return (
@@ -299,7 +299,7 @@ class _Named:
         return PassportInUse(passport, data, self.source, name, self.other_accepted, seal)
 
 
-def _named(sequence: Located[Sequence], station: Located[Station], step: SolveStep) -> _Named | None:
+def _named(sequence: Located[Sequence], station: Located[OfflineStation], step: SolveStep) -> _Named | None:
     """Return the passport that the documents name for a solve step."""
     accepted = step.other_collimator == "accept"
     if step.passport == NO_PASSPORT:
@@ -311,7 +311,7 @@ def _named(sequence: Located[Sequence], station: Located[Station], step: SolveSt
     return None if step.model in REFERENCE_MODELS else _of_station(station, other_accepted=accepted)
 
 
-def _of_station(station: Located[Station], *, other_accepted: bool) -> _Named | None:
+def _of_station(station: Located[OfflineStation], *, other_accepted: bool) -> _Named | None:
     """Return the passport file or the certificate that the station states."""
     collimator = station.value.collimator
     if collimator.passport is not None:

@@ -18,7 +18,7 @@ from bench.plan.passports import NO_PASSPORT, PassportChoice, PassportInUse, Pas
 from bench.plan.plan import DEFAULT_MODEL
 from bench.solve.point_files import Origin
 from bench.solve.solve_options import solve_options, with_statements
-from bench.stations.station import Station, load_station
+from bench.stations.station import OfflineStation, load_offline_station
 from calib.boards.board import Board
 from calib.calibration import REFERENCE_MODELS, ModelName
 from calib.engine import CalibrationOptions
@@ -47,9 +47,9 @@ class StationFile:
     passport_source: PassportSource | None = None  # Which passport of the options it states, if any
 
     @property
-    def station(self) -> Station | None:
+    def station(self) -> OfflineStation | None:
         """What the file states; None without its text."""
-        return check_document(self.text.encode(), self.name, Station).value if self.text else None
+        return check_document(self.text.encode(), self.name, OfflineStation).value if self.text else None
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _of_station(
     """Return the target of the station that the command line names, its file, and the passport that it states."""
     if not name:
         return StarTarget(), None, None
-    read = load_station(name)
+    read = load_offline_station(name)
     path = (read.folder or Path()) / Path(read.file).name
     choice = station_passport(read, datetime.now(UTC).date()) if with_passport else PassportChoice()
     if choice.faults:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.plan.passports import determines_one_view
-from bench.stations.station import Station
+from bench.stations.station import OfflineStation, Station
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
@@ -45,14 +45,14 @@ def solve_options(
     return with_statements(calibration_options(step, job.plan.passport_for(step), readings), station)
 
 
-def with_statements(options: CalibrationOptions, station: Station) -> CalibrationOptions:
+def with_statements(options: CalibrationOptions, station: OfflineStation) -> CalibrationOptions:
     """Return options with what a station states besides passport and readings: budget, radial prior and focus."""
     budget = station.budget.terms(station.collimator)
     radial_sigma, focus = stated_radial_sigma(station), stated_focus(station)
     return replace(options, budget=budget, radial_sigma=radial_sigma, focus=focus)
 
 
-def stated_focus(station: Station) -> TargetFocus | None:
+def stated_focus(station: OfflineStation) -> TargetFocus | None:
     """Return what the station states of the target's focus and of the pupil's place; None if nothing."""
     defocus, pupil = station.collimator.defocus, station.collimator.pupil_to_focus_mm
     if defocus is None and pupil is None:
@@ -60,7 +60,7 @@ def stated_focus(station: Station) -> TargetFocus | None:
     return TargetFocus(*((stated.value, stated.sigma) if stated else None for stated in (defocus, pupil)))
 
 
-def stated_radial_sigma(station: Station) -> float | None:
+def stated_radial_sigma(station: OfflineStation) -> float | None:
     """Return the prior of the target's radial term, no unit, from bow and distortion; None if the station lacks one."""
     collimator, expected = station.collimator, station.expected
     certificate = collimator.certificate

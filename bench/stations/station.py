@@ -166,16 +166,16 @@ def _plain_values(section: Any) -> Any:
     return int(section) if section.lstrip("+-").isdigit() else number
 
 
-class Station(StrictModel):
-    """A station file."""
+class OfflineStation(StrictModel):
+    """A station file as calibrations of existing data use it: it may leave out the devices."""
 
     format: Literal["starbench/station/1"]
     name: Name
     laboratory: Text | None = None
     operator: Text | None = None
-    stage: StageConfig
-    light: LightConfig
-    camera: CameraConfig
+    stage: StageConfig | None = None
+    light: LightConfig | None = None
+    camera: CameraConfig | None = None
     target: TargetConfig = TargetConfig()
     collimator: CollimatorConfig = CollimatorConfig()
     gimbal: GimbalConfig | None = None
@@ -188,6 +188,14 @@ class Station(StrictModel):
     limits: ResultLimits = ()
     check_standard: CheckStandardConfig | None = None
     simulation: Annotated[dict[str, Any], BeforeValidator(_plain_values)] | None = None
+
+
+class Station(OfflineStation):
+    """A station file with its devices."""
+
+    stage: StageConfig
+    light: LightConfig
+    camera: CameraConfig
 
     @property
     def axes(self) -> Mapping[str, AxisConfig]:
@@ -229,3 +237,8 @@ def load_station(name_or_path: str, settings: Mapping[str, str] | None = None) -
     station = read_document(find_document(name_or_path, SHIPPED_STATIONS), Station, settings)
     use_descriptions(station)
     return station
+
+
+def load_offline_station(name_or_path: str) -> Located[OfflineStation]:
+    """Read what a station states beside its devices, as `load_station` finds it."""
+    return read_document(find_document(name_or_path, SHIPPED_STATIONS), OfflineStation)

@@ -19,10 +19,10 @@ from bench.commands.options import (
     command,
 )
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
-from bench.extras.tools.conversions import CONVERTED, Converted, convert_many, plan_targets
-from bench.work.workers import Workers
 
 if TYPE_CHECKING:
+    from bench.extras.tools.conversions import Converted
+    from bench.work.workers import Workers
     from drivers.camera.event_arrays import ReadingChoices, TimeUnit
 
 _ASSUMED = {
@@ -150,6 +150,8 @@ def _convert_many(
     sources: Sequence[Path], folder: Path, kind: str, workers: Workers, choices: ReadingChoices
 ) -> int:
     """Convert into a folder; return the exit status: 0 all done, 1 a file failed."""
+    from bench.extras.tools.conversions import CONVERTED, convert_many, plan_targets
+
     pairs = plan_targets(sources, folder, kind)
     line = CountLine(len(pairs), "files")
     ends: list[Converted] = []

@@ -27,10 +27,12 @@ from bench.solve.passports import sealed_bytes
 from bench.solve.point_files import read_point_file
 from bench.solve.solve_options import ONE_VIEW
 from bench.solve.view_sources import ViewSource, picture_of, refuse_truncated_jpeg, view_sources
+from bench.stations.station import load_station
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
 from drivers.errors import RecordingCorrupt
+from sequences.errors import DocumentFaults
 from tests.support.printed_text import printed_text
 
 
@@ -402,6 +404,15 @@ def test_loose_files_take_what_the_station_states_and_say_that_the_stage_s_readi
     write_offline_results(result, "out", tmp_path / "out", key)
     station.unlink()
     assert check_recalculated(tmp_path / "out").faults == []
+
+
+def test_a_station_without_devices_serves_existing_data_and_no_run(tmp_path):
+    station = tmp_path / "station.yaml"
+    station.write_text(without(STATED, "stage", "light", "camera"))
+    assert options(station=str(station)).passport.passport.values_by_name["r"] == 255.0
+    with pytest.raises(DocumentFaults) as refused:
+        load_station(str(station))
+    assert {fault.path for fault in refused.value.faults} == {"stage", "light", "camera"}
 
 
 @pytest.mark.parametrize("other", [{"passport": "none"}, {"model": "planar"}])
