@@ -4,7 +4,7 @@
 
 RUN is a finished run. Everything is done by one process, several times. The median of the CPU time is printed,
 which other work on the computer hardly changes, and its 95th percentile. The scaling to two workers is that of `bench_cluster.py --only scaling`.
-``--write`` puts the tables into docs/measured/costs.md, with what follows from them.
+``--write`` puts the tables into docs/measured/costs.md.
 """
 
 from __future__ import annotations
@@ -38,33 +38,22 @@ from drivers.camera.raw_file import RawFile
 
 POSES_OF_A_NIGHT, RUNS_OF_A_NIGHT = 540, 60
 CAPTURES = 1_000_000
-DISKS_MB_S = {"hard disk or 1 Gbit/s network": 110, "SATA SSD": 500, "NVMe SSD": 3000}
-_WORKERS = (1, 2, 8, 32, 128)
-S3_S = 0.03
-"""Time of the command for a run whose recordings are on S3, at 30 ms for each request."""
 _POSES = 9
 """Poses of a run, where runs are counted."""
 
 
 class Costs(NamedTuple):
-    """What was measured: CPU times of a pose, of a run of nine poses, and of the command for each run; sizes."""
+    """What was measured: CPU times of a pose and of a run of nine poses; sizes."""
 
     find_s: float
-    decode_s: float
     fit_s: float
     files_s: float
-    command_s: float
     recording_mb: float
     events_m: float
     view_kb: float
     results_mb: float
     memory_mb: float
     program_mb: float
-
-    @property
-    def run_s(self) -> float:
-        """CPU time of a run."""
-        return _POSES * self.find_s + self.fit_s + self.files_s
 
 
 def main() -> None:
@@ -122,10 +111,8 @@ def main() -> None:
             }
     costs = Costs(
         find_s=pose["hash of the recording"].median_s + pose["finding the stars, decoding included"].median_s,
-        decode_s=pose["decoding"].median_s,
         fit_s=run["fit, the run's own model"].median_s,
         files_s=run["results, report, exports"].median_s,
-        command_s=sum(took.median_s for took in command.values()),
         recording_mb=sum(path.stat().st_size for path in paths) / poses / 1e6,
         events_m=sum(_decode(path) for path in paths) / poses / 1e6,
         view_kb=sum(len(pack_view(view, "0" * 64)) for view in views) / poses / 1e3,
@@ -136,7 +123,6 @@ def main() -> None:
     _print_parts(pose, check, run, command, poses)
     _print_sizes(costs)
     _print_sums(costs, paths, options.scaling)
-    print(f"\n{explained(costs, options.scaling)}")
 
 
 def _same(view: Any) -> Any:
@@ -187,7 +173,7 @@ def _print_sizes(costs: Costs) -> None:
 
 
 def _print_sums(costs: Costs, paths: Sequence[Path], scaling: float) -> None:
-    """Print CPU time and duration of a night and of many captures, and what limits them."""
+    """Print CPU time and duration of a night and of many captures."""
     find, fit, files, each = costs.find_s, costs.fit_s, costs.files_s, costs.recording_mb * 1e6
     runs_of_captures = CAPTURES / _POSES
     amounts = {
@@ -208,59 +194,6 @@ def _print_sums(costs: Costs, paths: Sequence[Path], scaling: float) -> None:
             f"| {what} | {_time(stars)} | {_time(fits)} | {_time(reports)} | {float(f'{size / 1e9:.3g}'):,g} GB |"
             f" {_time(total)} | {_time(total / scaling)} |"
         )
-    efficiency = scaling / 2
-    stars, fits, reports, size = amounts["1,000,000 captures in runs of nine"]
-    print("\n| 1,000,000 captures on | " + " | ".join(f"{n} workers" for n in _WORKERS) + " |")
-    print("| --- |" + " ---: |" * len(_WORKERS))
-    for what, seconds in (("with reports", stars + fits + reports), ("table only", stars + fits)):
-        shown = (_time(seconds / n / (efficiency if n > 1 else 1)) for n in _WORKERS)
-        print(f"| processors, {what} | {' | '.join(shown)} |")
-    for disk, rate in DISKS_MB_S.items():
-        least = size / (rate * 1e6)
-        full = (stars + fits) / least
-        print(f"| {disk}, {rate} MB/s: {_time(least)} to read | {'|'.join(' ' for _ in _WORKERS[1:])} |"
-              f" {full:.0f} workers keep it busy |")  # fmt: skip
-
-
-def explained(costs: Costs, scaling: float) -> str:
-    """Return what calibrations cost, and what to buy."""
-    parts = {
-        "Finding stars": _POSES * costs.find_s,
-        "The fit": costs.fit_s,
-        "Writing results and reports": costs.files_s,
-    }
-    most = max(parts, key=lambda name: parts[name])
-    runs = CAPTURES / _POSES
-    night = RUNS_OF_A_NIGHT * costs.run_s
-    workers = {disk: _workers_fed(costs, rate) for disk, rate in DISKS_MB_S.items()}
-    fed = ", ".join(
-        f"{'an' if disk[0] == 'N' else 'a'} {disk} {count:.0f}" for disk, count in workers.items()
-    )
-    return f"""What follows from these times:
-
-* **{most} takes the most time**: {parts[most] / costs.run_s:.0%} of a run of nine poses, which takes {costs.run_s:.1f} s of
-  processor time: {_POSES * costs.find_s:.1f} s for the stars, {costs.fit_s:.1f} s for the fit, {costs.files_s:.1f} s for results and report.
-* Stars of a recording take {costs.find_s:.2f} s, decoding {costs.decode_s:.3f} s of it.
-* A night of {POSES_OF_A_NIGHT} poses is calibrated again in {_time(night)} of one processor, {CAPTURES:,} captures in {_time(runs * costs.run_s)} of one,
-  or {_time(runs * costs.run_s / 8 / (scaling / 2))} of eight (more than two workers are a projection; two are {scaling:.2f} times as fast as one).
-* {CAPTURES:,} captures need {CAPTURES * costs.recording_mb / 1e6:.1f} TB, {CAPTURES * costs.view_kb / 1e6:.0f} GB for kept views, and {runs * costs.results_mb / 1e3:.0f} GB for results with reports. A kept
-  view ({costs.view_kb:.0f} kB) saves the {costs.find_s:.2f} s: a run of nine poses then costs {costs.fit_s + costs.files_s:.1f} s.
-
-| part | limit | what to buy |
-| --- | --- | --- |
-| processors | {1 / costs.run_s * 60:.0f} runs of nine poses a minute for each | processors; fast ones for a bench that waits for its result |
-| disk or network | enough for so many workers: {fed} | an SSD, and 10 Gbit/s from some {workers["hard disk or 1 Gbit/s network"]:.0f} workers on |
-| memory | {costs.memory_mb / 1e3:.1f} GB for each worker | 1 GB for each processor, 2 GB if recordings are long |
-| the command | it lists, writes and seals {costs.command_s:.2f} s a run of nine poses, enough for {costs.run_s / costs.command_s:.0f} workers | nothing; or several commands, each with an output folder of its own |
-| S3 | {S3_S:.2f} s a run at 30 ms for each request, enough for some {costs.run_s / S3_S:.0f} workers | a shared folder, or several commands |
-
-* Read a recording in pieces, or count without a list, where speed matters: all events at once take 13 bytes of memory an event.
-"""
-
-
-def _workers_fed(costs: Costs, rate_mb_s: float) -> float:
-    """Return how many workers a disk keeps busy."""
-    return rate_mb_s * costs.run_s / (_POSES * costs.recording_mb)
 
 
 def _time(seconds: float) -> str:
