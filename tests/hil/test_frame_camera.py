@@ -1,6 +1,5 @@
 """Frame cameras: the same run as with an event camera, on pictures; and the simulated one as OpenCV sees it."""
 
-import json
 import socket
 import threading
 import time
@@ -8,7 +7,7 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from running import called, journal, results, starbench
+from running import called, journal, results
 
 from bench.measure.measure_frames import frame_gates, measure_frames
 from calib.target import StarTarget
@@ -18,7 +17,7 @@ from drivers.camera.frames import read_frames, write_frames
 from drivers.clock import SystemClock
 from drivers.errors import CameraLost, CameraNotFound, RecordingFailed
 from sequences.script import Gates
-from simulators.cameras.frame_camera import SimulatedFrameCamera, mean_brightness
+from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.cameras.streaming import FRAME_CAMERA_FAULTS
 from simulators.world.world import AxisMotion, LightState, World
 
@@ -80,33 +79,6 @@ def test_the_seal_of_a_frame_cameras_run_holds(finished, home):
     assert verified.returncode == 0, verified.stdout + verified.stderr
 
 
-@pytest.mark.slow
-def test_its_results_follow_from_its_pictures(finished, home):
-    verified = called("verify", finished, "--again", home=home)
-    assert verified.returncode == 0, verified.stdout + verified.stderr
-    again = starbench("calibrate", finished, "--json", home=home)
-    assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]
-
-
-@pytest.mark.slow
-def test_pictures_of_a_run_played_again_give_the_same_camera(finished, home, tmp_path):
-    """A folder of pictures as the camera, on the simulated stage: eight a pose, in their order."""
-    (tmp_path / "pictures").mkdir()
-    taken = [frame for path in sorted((finished / "captures").iterdir()) for frame in read_frames(path)]
-    for number, frame in enumerate(taken):
-        write_frames(tmp_path / "pictures" / f"{number:03d}.tif", [frame])
-    station = (finished / "station.yaml").read_text()
-    camera = "driver: opencv\n  source: sim:frame-camera"
-    assert camera in station
-    played = station.replace(camera, f"driver: pictures\n  path: {tmp_path / 'pictures'}")
-    (tmp_path / "played.yaml").write_text(played)
-    folder = tmp_path / "again"
-    ended = starbench("run", "three_pose", "-s", tmp_path / "played.yaml", "-o", folder, home=home)
-    assert ended.returncode == 0, ended.stderr
-    assert results(folder)["calibration"]["camera"] == results(finished)["calibration"]["camera"]
-    assert results(folder)["run"]["simulated"]
-
-
 # ------------------------------------------------------------- the simulated camera, as OpenCV sees it
 
 
@@ -146,17 +118,6 @@ def test_every_capture_shows_the_pose_and_light_of_its_own_time(world, camera, t
     assert shift > 10
 
 
-def test_pictures_differ_by_their_noise_alone_and_their_stars_stand_still(camera, tmp_path):
-    facts = camera.capture(tmp_path / "pose.tif", 4)
-    assert (facts.frames, facts.bits, facts.complete) == (4, 8, True)
-    frames = read_frames(tmp_path / "pose.tif").astype(float)
-    noise = (frames[1] - frames[0]).std()
-    assert 0.5 < noise < 5.0
-    measurement = measure_frames(tmp_path / "pose.tif", name="pose", target=StarTarget())
-    assert measurement.stars > 100
-    assert measurement.facts["motion_px"] < 0.02
-
-
 def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars(world, camera, tmp_path):
     still = camera.capture(tmp_path / "still.tif", 2)
     world.set_axis("pan", AxisMotion.resting(0.01, 64))
@@ -166,13 +127,6 @@ def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars
     measurement = measure_frames(tmp_path / "both.tif", name="pose", target=StarTarget())
     gates = frame_gates(still, Gates(40, 200.0, True), measurement)
     assert {gate.name: gate.verdict for gate in gates}["stars moved"] == "fail"
-
-
-def test_an_exposure_averages_over_a_flicker():
-    flicker = LightState(frequency_hz=1000.0, duty_percent=25.0, low_v=0.0, high_v=5.0, output=True)
-    assert mean_brightness(flicker, 0.0, 0.010) == pytest.approx(0.25, abs=0.04)
-    assert mean_brightness(STEADY, 0.0, 0.010) == 1.0
-    assert mean_brightness(LightState(), 0.0, 0.010) == 0.0
 
 
 @pytest.mark.parametrize("frames", [None, 0, 2], ids=["says nothing", "no picture", "two pictures"])

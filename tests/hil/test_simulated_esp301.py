@@ -109,11 +109,6 @@ def test_a_refusal_is_silent_and_waits_in_the_queue(controller: Controller, line
     assert controller.say("TE?") == ["0"]
 
 
-def test_a_wait_delays_the_commands_after_it(homed: Controller):
-    assert homed.say("1PR2;1WS0;1TP") == []
-    assert homed.wait() == ["2.00000"]
-
-
 def test_homing_may_not_be_disturbed_and_is_ended_by_stop(controller: Controller):
     controller.say("1MO;1OR1")
     controller.wait(0.05)
@@ -125,31 +120,9 @@ def test_homing_may_not_be_disturbed_and_is_ended_by_stop(controller: Controller
     assert not controller.device.axes[1].axis.referenced(controller.now_s)
 
 
-def test_stop_without_an_axis_stops_all(homed: Controller):
-    homed.say("1PA15;2PA10")
-    homed.wait(0.2)
-    homed.say("ST")
-    homed.wait(0.3)
-    first, second, *done = homed.say("1TP;2TP;1MD?;2MD?;1MO?")
-    assert 0.0 < float(first) < 15.0
-    assert 0.0 < float(second) < 10.0
-    assert done == ["1", "1", "1"]
-
-
-def test_the_status_character_shows_which_axes_move(homed: Controller):
-    assert homed.say("TS") == [chr(0x50)]
-    homed.say("2PA10")
-    assert homed.say("TS") == [chr(0x52)]
-
-
 @pytest.mark.parametrize(("kind", "number"), [("stall", 203), ("limit", 204)])
 def test_a_fault_of_motion_switches_the_motor_off(homed: Controller, kind, number: int):
     homed.device.axes[2].axis.arm(MotionFault(kind))
     homed.say("2PA10")
     homed.wait()
     assert homed.say("2MO?;TE?") == ["0", str(number)]
-
-
-def test_the_position_can_be_redefined(homed: Controller):
-    homed.say("1DH2.5")
-    assert homed.say("1TP;1PA?") == ["2.50000", "2.50000"]

@@ -2,22 +2,16 @@
 
 import json
 import math
-import select
 import struct
 import threading
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
-from simulators.cameras import evk4
 from simulators.cameras.evk4 import SimulatedEvk4
-from simulators.cameras.streaming import StreamFault
 from simulators.pixels import sensor_stream
 from simulators.pixels.sensor import Sensor
-from simulators.pixels.sensor_stream import FRAME_US, CameraState, SensorStream, sync_edges
-from simulators.world.truth_config import truth_from_config
+from simulators.pixels.sensor_stream import CameraState, SensorStream, sync_edges
 from simulators.world.world import AxisMotion, LightState, World
 from tests.hil.evk4_host import COMPUTING, FLICKER, SMALL, Host, bench
 
@@ -40,14 +34,6 @@ def test_the_camera_reports_that_it_computes_only_while_a_frame_takes_long(camer
         go_on.set()
         assert host.frame()[0] == b"D"
         assert host.ask("stop")["ok"]
-
-
-def test_the_camera_reports_nothing_while_its_stream_is_silenced(camera):
-    with Host(camera) as host:
-        host.record(1)  # all that is to be compiled is
-        camera.stream_faults.inject(StreamFault("silence"))
-        assert host.ask("start")["ok"]
-        assert not select.select([host.link], [], [], 1.2)[0]
 
 
 def test_settings_are_held_and_forgotten_at_the_next_connect(camera):
@@ -129,18 +115,6 @@ def test_a_fault_reaches_the_host(camera):
     assert json.loads(payload) == {"event": "fault", "message": "over temperature"}
 
 
-def test_a_world_that_cannot_be_drawn_is_reported_to_the_host():
-    camera = SimulatedEvk4(World(truth_from_config({"camera": {"k1": -50.0}})), paced=False)
-    camera.start()
-    with Host(camera) as host:
-        assert host.ask("start")["ok"]
-        kind, payload = host.frame()
-        assert kind == b"N"
-        assert "camera" in json.loads(payload)["message"]
-        assert host.ask("stop")["ok"]
-    camera.close()
-
-
 # ---------------------------------------------------------------- the stream
 
 
@@ -156,32 +130,6 @@ def test_the_sensors_clock_goes_on_from_recording_to_recording(camera):
         assert [began_us(host.record(frames)) for frames in (60, 1, 52)] == [0, 204_800, 307_200]
     with Host(camera) as host:  # another one at once, the same camera
         assert began_us(host.record(1)) == 512_000
-
-
-def test_a_host_cannot_have_kept_more_than_it_was_sent(camera):
-    with Host(camera) as host:
-        host.record(3)
-        assert host.ask("start")["ok"]
-        assert host.ask("stop", frames=10**6)["error"] == "bad_value"
-        assert host.ask("stop")["error"] == "not_streaming"
-
-
-@given(clock_us=st.integers(1, 1 << 26))
-@example(clock_us=(1 << 24) - 60_000)  # the clock wraps in its middle
-@settings(max_examples=6, deadline=None)
-def test_the_time_of_a_stream_changes_only_the_upper_bits_of_its_clock(clock_us):
-    def taken(at_us):
-        stream = SensorStream(bench(), CameraState(trigger_in=True), {}, at_us)
-        return stream, np.concatenate([np.frombuffer(stream.next_frame(), "<u2") for _ in range(35)])
-
-    _, first = taken(0)
-    later, words = taken(clock_us)
-    is_high = first >> 12 == 0x8
-    assert later.clock_us - 70_000 >= clock_us
-    np.testing.assert_array_equal(words[~is_high], first[~is_high])
-    on = (words[is_high].astype(int) - first[is_high]) % 4096
-    assert (on == (later.clock_us - 70_000 >> 12) % 4096).all()
-    np.testing.assert_array_equal(words >> 12, first >> 12)
 
 
 def listen_to_edges(monkeypatch, edges):
@@ -309,36 +257,3 @@ def test_a_preview_is_in_phase_with_the_light_and_sees_a_turn(monkeypatch):
     there = fired_in(SensorStream(world, camera, {}))
     assert np.corrcoef(after.ravel(), there.ravel())[0, 1] > 0.9
     assert np.corrcoef(after.ravel(), before.ravel())[0, 1] < 0.7
-
-
-def test_a_preview_cannot_go_on_under_another_light_or_with_other_settings():
-    world, camera = bench(), CameraState()
-    preview = SensorStream(world, camera, {}, preview=True)
-    preview.next_frame()
-    assert not preview.go_on(CameraState(trigger_in=True), preview.clock_us)
-    assert not preview.go_on(camera, preview.clock_us + 1)  # the clock has run on since
-    world.set_light(LightState(output=True, sync=True, frequency_hz=75.0))
-    assert not preview.go_on(camera, preview.clock_us)
-
-
-def test_previews_over_the_wire_go_on_with_the_same_sensor(camera, monkeypatch):
-    made = []
-    monkeypatch.setattr(
-        evk4, "SensorStream", lambda *given, **more: made.append(more) or SensorStream(*given, **more)
-    )
-
-    def preview(host):
-        host.words = []
-        assert host.ask("start", preview=True)["ok"]
-        while len(host.words) < 9:
-            host.words.append(host.frame()[1])
-        assert host.ask("stop", frames=9)["ok"]
-        return began_us(host.words[0])
-
-    with Host(camera) as host:
-        host.record(4)
-        first = preview(host)
-        second = preview(host)
-        assert sum(more.get("preview", False) for more in made) == 1
-        assert second >= first + 9 * FRAME_US
-        assert not host.ask("start", preview="yes")["ok"]

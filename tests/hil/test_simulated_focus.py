@@ -10,7 +10,6 @@ from bench.simulated import SimulatedBench
 from simulators.config import bench_config
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
-from simulators.world.truth import LensTruth
 from simulators.world.world import LightState, World, setup_of
 
 SMALL = {"fx": 836, "fy": 836, "cx": 160, "cy": 90, "width": 320, "height": 180}
@@ -47,11 +46,6 @@ def test_hands_turn_ring_aperture_and_camera_and_read_them_back(bench):
     assert bench.truth()["lens"]["focus"] == "on the pattern"  # what does nothing turns nothing
 
 
-def test_an_answer_says_infinity_in_words(bench):
-    answer = json.loads(bench.order("lens focus"), parse_constant=pytest.fail)
-    assert answer["distance_m"] == answer["now"]["focus_distance_m"] == "infinity"
-
-
 def test_orders_after_the_end_are_refused_with_a_sentence():
     with SimulatedBench({"camera": SMALL}, 3) as ended:
         pass
@@ -83,21 +77,3 @@ def test_a_turn_of_the_ring_is_seen_in_the_middle_of_a_recording():
     assert turned[:10] == still[:10]
     assert turned[10] != still[10]
     assert sum(map(len, turned[10:])) != sum(map(len, still[10:]))
-
-
-def test_a_setup_that_is_put_back_gives_the_same_recordings_as_one_that_was_never_changed():
-    truth = bench_config({"camera": {**SMALL, "width": 128, "height": 72}, "noise": "typical"}).truth
-
-    def stream(*lenses):
-        now = [0.0]
-        world = World(truth, seed=4, clock=lambda: now[0])
-        world.set_light(LightState(output=True))
-        for lens in lenses:
-            now[0] += 1.0
-            world.change_setup(lambda setup, lens=lens: type(setup)(setup.shift_mm, setup.turn_deg, lens))
-        taken = SensorStream(world, CameraState(dict(FACTORY)), {})
-        return b"".join(taken.next_frame() for _ in range(8))
-
-    assert stream() == stream(LensTruth(0.5), LensTruth())
-    assert stream() != stream(LensTruth(0.5))
-    assert stream(LensTruth(0.5)) == stream(LensTruth(2.0, 8.0), LensTruth(0.5))

@@ -71,12 +71,6 @@ def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: Strobe):
     assert (strobe.light.output, strobe.light.sync) == (False, False)
 
 
-def test_the_other_outputs_do_not_drive_the_light(strobe: Strobe):
-    before = strobe.light
-    strobe.say("RS2,100")
-    assert strobe.light == before
-
-
 def test_a_protection_switches_off_and_is_reported_on_request(strobe: Strobe):
     strobe.say("RS1,100")
     strobe.device.trip(OVER_CURRENT)
@@ -94,10 +88,3 @@ def test_another_controller_in_its_place_has_the_settings_of_its_power_up(strobe
     assert strobe.say("ST0") == "TM 0, TP 20.000ms\r\n>"
     assert strobe.device.unsolicited() == b""
     assert not strobe.light.output
-
-
-def test_a_protection_is_reported_unsolicited_if_enabled(strobe: Strobe):
-    strobe.say("GT1")
-    strobe.device.trip()
-    assert strobe.device.unsolicited() == b"Evt1,130;\r\n"
-    assert strobe.device.unsolicited() == b""

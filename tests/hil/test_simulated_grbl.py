@@ -61,22 +61,6 @@ def homed(board: Board) -> Board:
     return board
 
 
-def test_a_diagonal_is_as_fast_as_its_slowest_axis_lets_it_be(homed: Board):
-    homed.say("$111=600", "$121=50", "G0 X-21 Y-11")
-    homed.wait(1.19)
-    assert homed.report()[0] == "Run"
-    homed.wait(0.03)
-    assert homed.report() == ("Idle", -21.0, -11.0)
-
-
-def test_a_dwell_is_answered_when_all_motion_has_ended(homed: Board):
-    assert homed.say("G1 X-11 F600", "G4 P0.5", "G0 X-1") == "ok\r\n"
-    homed.wait(1.3)
-    assert homed.report()[1] == -11.0
-    assert homed.wait() == "ok\r\nok\r\n"
-    assert homed.report()[1] == -1.0
-
-
 def test_a_hold_brakes_and_a_start_goes_on(homed: Board):
     homed.say("G1 X-11 F600")
     homed.wait(0.5)
@@ -156,60 +140,7 @@ def test_a_target_beyond_the_travel_is_an_alarm_that_only_a_reset_ends(homed: Bo
     assert homed.report() == ("Idle", -1.0, -1.0)
 
 
-def test_blanks_comments_and_small_letters_do_not_matter(homed: Board):
-    for line in ("$ i", "$I", "$i (the name)", "$I ; the name"):
-        assert homed.say(line) == "[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
-    assert homed.say("/g0(fast)x-6 (not closed") == "ok\r\n"
-    homed.wait()
-    assert homed.report() == ("Idle", -6.0, -1.0)
-
-
-def test_a_block_that_is_refused_changes_no_mode(homed: Board):
-    homed.say("G1 X-2 F600")
-    homed.wait()
-    assert [homed.say("G0 X-1 G1"), homed.say("G91 G1 X-1 F0")] == ["error:24\r\n", "error:22\r\n"]
-    assert homed.say("$G") == "[GC:G1 G54 G17 G21 G90 G94 M5 M9 T0 F600 S0]\r\nok\r\n"
-
-
-def test_soft_limits_end_with_homing(homed: Board):
-    assert homed.say("$22=0", "$20=1") == "ok\r\nerror:10\r\n"
-    assert "$20=0\r\n" in homed.say("$$")
-
-
-def test_check_mode_moves_nothing_and_ends_by_a_restart(homed: Board):
-    assert homed.say("$C") == "[MSG:Enabled]\r\nok\r\n"
-    assert homed.say("G0 X-5", "G0 Q", "$J=X-5F100", "$H") == "ok\r\nerror:2\r\nerror:8\r\nerror:8\r\n"
-    assert homed.report() == ("Check", -1.0, -1.0)
-    assert homed.say("$C") == "[MSG:Disabled]\r\nok\r\n" + BANNER
-    assert homed.report() == ("Idle", -1.0, -1.0)
-
-
-def test_a_sleeping_board_serves_status_reports_until_a_reset(homed: Board):
-    assert homed.say("$SLP") == "ok\r\n[MSG:Sleeping]\r\n"
-    assert homed.say("$I", "G0 X-5") == ""
-    assert homed.report()[0] == "Sleep"
-    assert homed.press(b"\x18") == BANNER + LOCKED
-
-
-def test_lists_of_what_the_board_has_not(homed: Board):
-    assert homed.say("$N") == "$N0=\r\n$N1=\r\nok\r\n"
-    assert homed.say("$#").startswith("[G54:0.000,0.000,0.000]\r\n")
-    assert homed.say("$").startswith("[HLP:$$ $#")
-    homed.say("$130=5")
-    assert homed.say("$RST=$") == "[MSG:Restoring defaults]\r\nok\r\n" + BANNER
-    assert "$130=31.000\r\n" in homed.say("$$")
-
-
 @given(st.text(alphabet="GXYFMP$J=-.0123456789 ();", max_size=30))
 def test_any_block_is_taken_or_refused_by_number(line: str):
     with suppress(GcodeError):
         assert set(parse_block(line).targets) <= set("XYZ")
-
-
-def test_a_reset_while_homing_is_an_alarm_an_ok_and_a_restart(homed: Board):
-    homed.say("G0 X-21")
-    homed.wait()
-    homed.say("$H")
-    homed.wait(0.1)
-    assert homed.press(b"\x18") == "ALARM:6\r\n"
-    assert homed.wait(1.0) == "ok\r\n" + BANNER + LOCKED

@@ -116,12 +116,6 @@ def test_a_wrong_checksum_is_refused_and_nothing_moves(homed: Controller):
     assert not homed.status().flags & 0x02
 
 
-def test_an_unknown_command_and_a_wrong_value_are_refused(controller: Controller):
-    assert controller.device.receive(b"jump") == b"errc"
-    data = struct.pack("<IBHHIBB9x", 0, 0, 0, 0, 0, 0, 0)
-    assert controller.device.receive(b"smov" + data + struct.pack("<H", crc16(data))) == b"errv"
-
-
 def test_a_border_stops_a_move_which_then_has_failed(homed: Controller):
     homed.move(2000)
     homed.wait()
@@ -133,20 +127,6 @@ def test_a_border_stops_a_move_which_then_has_failed(homed: Controller):
     homed.move(1600)
     homed.wait()
     assert (homed.status().position, homed.status().failed) == (1600 * 256, False)
-
-
-def test_a_soft_stop_keeps_the_reference_a_harsh_one_does_not(homed: Controller):
-    homed.move(1000)
-    homed.wait(0.2)
-    homed.ask(b"sstp")
-    assert homed.status().moving
-    homed.wait()
-    assert homed.status().flags & 0x20
-    homed.move(0)
-    homed.wait(0.2)
-    homed.ask(b"stop")
-    assert not homed.status().moving
-    assert not homed.status().flags & 0x20
 
 
 def test_a_stall_is_an_alarm_in_which_moves_are_ignored_until_stop(homed: Controller):
@@ -164,10 +144,3 @@ def test_a_stall_is_an_alarm_in_which_moves_are_ignored_until_stop(homed: Contro
     homed.move(0)
     homed.wait()
     assert homed.status().position == 0
-
-
-def test_writing_the_position_may_leave_the_encoder_and_the_other_way_round(homed: Controller):
-    homed.ask(b"spos", struct.pack("<ihqB5x", 10, 0, 777, 0x02))
-    assert (homed.status().position, homed.status().encoder) == (2560, 0)
-    homed.ask(b"spos", struct.pack("<ihqB5x", 99, 0, 777, 0x01))
-    assert (homed.status().position, homed.status().encoder) == (2560, 777)
