@@ -2,20 +2,17 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 import yaml
 from certificate_sample import LAB, identity, sample_lab, sample_results
 
-from bench.extras.certificate.certificate_data import Certificate
-from bench.extras.certificate.clauses import CLAUSES, faults_of_lab, unanswered
+from bench.extras.certificate.clauses import faults_of_lab, unanswered
 from bench.extras.certificate.compose import compose
 from bench.extras.certificate.lab_config import EXAMPLE, LabConfig, read_lab
 from sequences.errors import DocumentFaults
 
 NUMBERS = 'numbers: {format: "SB-{year}-{number:05d}"}'
-PAGE = Path(__file__).parents[3] / "docs" / "extras" / "certificate" / "certificates.md"
 NOTHING = "format: starbench/lab/1\n"
 
 
@@ -39,35 +36,6 @@ def test_every_key_of_a_clause_can_be_missing_and_is_then_named():
     named = {clause.number for clause, _ in unanswered(sample_lab(NOTHING).value, sample_results())}
     assert {"7.8.2.1 b", "7.8.2.1 c", "7.8.2.1 e", "7.8.2.1 f", "7.8.2.1 g", "7.8.2.1 h", "7.8.2.1 n"} < named
     assert {"7.8.2.1 o", "7.8.2.1 p", "7.8.2.2", "7.8.4.1 b", "7.8.4.1 c", "7.8.4.1 d"} < named
-
-
-def test_the_table_of_the_documentation_has_the_clauses_and_fields_of_a_certificate():
-    rows = [
-        line.split(" | ") for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| 7.")
-    ]
-    assert {(clause.number, clause.item) for clause in CLAUSES} < {
-        (row[0].removeprefix("| "), row[1]) for row in rows
-    }
-    known = set(Certificate.__dataclass_fields__)
-    for row in rows:
-        for field in row[2].split(", "):
-            name = field.split(":")[0].split(".")[0].split(";")[0].strip()
-            assert name in known or " " in name or name in {"k", "p", "nu_eff", "reproduction"}, row
-
-
-def test_a_reference_without_number_date_or_issuer_is_named():
-    without = {**sample_results(), "passport": {**sample_results()["passport"], "number": None, "date": None}}
-    keys = [key for _, key in unanswered(sample_lab().value, without)]
-    assert keys == ["sources.number", "sources.date"]
-    none = {**sample_results(), "passport": None}
-    assert [key for _, key in unanswered(sample_lab().value, none)] == []
-    bare = sample_lab(LAB.replace("number: R-17, ", "")).value
-    assert [key for _, key in unanswered(bare, none)] == ["sources"]
-
-
-def test_the_documentation_names_every_key_of_lab_yaml():
-    text = PAGE.read_text(encoding="utf-8")
-    assert [name for name in LabConfig.model_fields if f"`{name}`" not in text] == []
 
 
 def test_the_example_has_every_section_and_names_every_placeholder():

@@ -6,16 +6,15 @@ import re
 
 import certificate_sample
 import pytest
-from dcc_checks import check_dcc, powers
+from dcc_checks import check_dcc
 from lxml import etree
 
 from bench.base.bounded_json import leaves
 from bench.base.encoding import plain_number
 from bench.base.errors import UsageError
 from bench.extras.certificate import dcc_xml
-from bench.extras.certificate.certificate_data import Software
 from bench.extras.certificate.certificate_folder import require_libraries
-from bench.extras.certificate.d_si import OUR_UNITS, d_si_unit, is_unit, product
+from bench.extras.certificate.d_si import OUR_UNITS, is_unit
 from bench.extras.certificate.dcc import ellipsoid_factor, number_text, render_dcc
 from bench.extras.certificate.dcc_xml import NAMESPACES, differs_by_a_signature
 
@@ -88,15 +87,6 @@ def test_every_text_of_the_certificate_is_in_the_dcc():
         assert " ".join(text.split()) in in_dcc or (dated and text[:10] in in_dcc), text
 
 
-def test_text_of_a_customer_stays_text():
-    full = certificate_sample.full_certificate()
-    evil = "</dcc:content><dcc:x/>]]>&amp; \x00\x1b[31m \ud800 <!-- x -->"
-    root = dcc_of(dataclasses.replace(full, customer=full.customer.model_copy(update={"name": evil})))
-    (name,) = texts(root, "//dcc:customer/dcc:name/dcc:content")
-    assert name == evil.replace("\x00", "\ufffd").replace("\x1b", "\ufffd").replace("\ud800", "\ufffd")
-    assert not root.xpath("//dcc:x", namespaces=NAMESPACES)
-
-
 def test_a_certificate_with_hardly_anything_is_still_whole():
     small = certificate_sample.small_certificate()
     camera = dataclasses.replace(small.item.camera, model="EVK4", firmware="", sensor="", biases=())
@@ -127,18 +117,6 @@ def test_the_ellipsoid_of_a_posterior_is_as_much_wider_than_a_normal_one_as_its_
     assert float(texts(root, f"{region}coverageFactor")[0]) == pytest.approx(normal * k / 2, rel=1e-4)
 
 
-def test_results_of_hundreds_of_pixels_are_compared_with_the_covariance():
-    full, scale = certificate_sample.full_certificate(), 66.0
-    fx = dataclasses.replace(full.results[0], printed_value="3350", printed_uncertainty="130", U=130.0)
-    matrix = [list(row) for row in full.covariance.matrix]
-    for at in range(len(matrix)):
-        matrix[0][at] *= scale
-        matrix[at][0] *= scale
-    covariance = dataclasses.replace(full.covariance, matrix=tuple(map(tuple, matrix)))
-    parts = {"results": (fx, *full.results[1:]), "covariance": covariance, "conformity": (), "budgets": ()}
-    assert check_dcc(render_dcc(dataclasses.replace(full, **parts))) == []
-
-
 @pytest.mark.parametrize(
     ("n", "nu", "expected"), [(1, None, 2.0), (6, None, 3.585), (1, 12.48, 2.2214), (6, 12.48, 4.276)]
 )
@@ -152,46 +130,6 @@ def test_numbers_are_finite_and_coverage_factors_have_no_exponent():
         with pytest.raises(ValueError, match="is not a number"):
             number_text(value)
     assert [plain_number(k, 4) for k in (2, 2.22151, 100.0, 0.00012)] == ["2", "2.2215", "100", "0.0001"]
-
-
-def test_the_run_is_named_for_programs():
-    run = certificate_sample.full_certificate().run
-    comment = dcc_of(certificate_sample.full_certificate()).find("dcc:comment/starbench:run", NAMESPACES)
-    facts = {element.tag.rpartition("}")[2]: element.text for element in comment}
-    wanted = {"sealSHA256": run.seal_sha256, "resultsSHA256": run.results_sha256, "ledgerNumber": "1"}
-    assert {name: facts[name] for name in wanted} == wanted
-
-
-def test_what_wrote_the_certificate_is_told_apart_from_what_measured():
-    full = certificate_sample.full_certificate()
-    programs = (Software("starbench", "0.1.0rc2"), Software("numpy", "2.4.6"))
-    writers = (Software("certificate_form", "1fe3aa0011223344"), Software("lxml", "6.1.3"))
-    run = dataclasses.replace(full.run, software=(*programs, *writers))
-    data = render_dcc(dataclasses.replace(full, run=run))
-    for place, names, releases in (
-        ("usedSoftware", ["starbench", "numpy"], ["v0.1", "v2.4.6"]),
-        ("dccSoftware", ["starbench", "certificate_form", "lxml"], ["v0.1", "v0", "v6.1.3"]),
-    ):
-        root = etree.fromstring(data)
-        assert texts(root, f"//dcc:{place}//dcc:name/dcc:content") == names
-        assert texts(root, f"//dcc:{place}//dcc:release") == releases
-    assert b"Full version: 0.1.0rc2" in data
-    assert b"Full version: 1fe3aa0011223344" in data
-    assert check_dcc(data) == []
-
-
-def test_a_range_is_stated_with_both_ends():
-    full = certificate_sample.full_certificate()
-    text = "71.3566 to 86.9117 Mev/s"
-    rate = dataclasses.replace(
-        full.conditions[0], name="event rate", value=None, unit="Mev/s", U=None, text=text
-    )
-    odd = dataclasses.replace(rate, text="71 to 86 furlong", unit="furlong")
-    root = dcc_of(dataclasses.replace(full, conditions=(rate, odd)))
-    first, second = root.xpath("//dcc:influenceCondition", namespaces=NAMESPACES)
-    assert texts(first, ".//si:value") == ["71.3566", "86.9117"]
-    assert set(texts(first, ".//si:unit")) == {r"\micro\second\tothe{-1}"}
-    assert texts(second, "dcc:data/dcc:text/dcc:content") == ["71 to 86 furlong"]
 
 
 # ---------------------------------------------------------------- units
@@ -213,26 +151,6 @@ NO_UNITS = [
 @pytest.mark.parametrize("unit", [*UNITS, *NO_UNITS])
 def test_units_are_those_of_d_si(unit):
     assert is_unit(unit) is (unit in UNITS)
-
-
-@pytest.mark.parametrize(
-    ("printed", "written"),
-    [
-        ("px", r"\one"), ("mm", r"\milli\metre"), ("arcsec", r"\arcsecond"), ("°C", r"\degreecelsius"),
-        ("px / (mm)", r"\milli\metre\tothe{-1}"), ("px / (mm/K)", r"\milli\metre\tothe{-1}\kelvin"),
-        ("1 / (1)", r"\one"), ("events/s", r"\second\tothe{-1}"), (r"\milli\metre", r"\milli\metre"),
-        ("mm at 40 mm", None), ("px / (%)", None), ("px/", None), ("furlong", None), ("mm//s", None), ("", r"\one"),
-    ],
-)  # fmt: skip
-def test_printed_units(printed, written):
-    assert d_si_unit(printed) == written
-
-
-def test_products_have_the_powers_of__are_in_millimetres():
-    assert powers(product(r"\milli\metre", r"\milli\metre")) == {"millimetre": 2}
-    assert powers(product(r"\radian", r"\milli\metre")) == {"radian": 1, "millimetre": 1}
-    assert powers(r"\metre\per\second\tothe{2}") == powers(r"\metre\second\tothe{-2}")
-    assert powers(r"\metre\per\metre") == {}
 
 
 SIGNATURE = b'<ds:Signature xmlns:ds="http://www.w3.org/2000/09/xmldsig#" Id="a"><ds:SignatureValue/></ds:Signature>\n'

@@ -13,7 +13,7 @@ from many_runs import BEGIN, SIGMAS, VALUES, write_run
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
 from bench.evidence.states import ShownState
-from bench.extras.history.columns import COLUMNS, SCHEMA, parameter_columns, table_row
+from bench.extras.history.columns import COLUMNS, SCHEMA, table_row
 from bench.extras.history.table import ROWS_AT_ONCE, write_table
 from bench.record.run_facts import RunPlace
 from bench.record.run_index import RunIndex
@@ -62,13 +62,6 @@ def test_the_schema_that_is_printed_has_each_column_with_its_meaning_and_takes_a
         jsonschema.validate(json.loads(json.dumps(row, default=str)), schema)
 
 
-def test_no_two_columns_differ_in_capitals_only_and_numbers_carry_their_unit():
-    names = [column.name for column in COLUMNS]
-    assert len({name.casefold() for name in names}) == len(names)
-    suffix = {"px": "_px", "mm": "_mm", "°C": "_c", "Hz": "_hz", "lx": "_lux", "byte": "_bytes"}
-    assert all(column.name.endswith(suffix[column.unit]) for column in COLUMNS if column.unit)
-
-
 def test_a_row_has_parameters_uncertainties_conditions_and_devices(rows):
     row = rows[1]
     assert (row["fx_px"], row["fx_sigma_px"], row["coverage_factor"]) == (3346.0, 1.0, 2.2)
@@ -100,22 +93,6 @@ def test_pandas_reads_it(table, rows):
     assert frame["begun_utc"][0].to_pydatetime() == rows[0]["begun_utc"]
 
 
-def test_duckdb_reads_it(table):
-    duckdb = pytest.importorskip("duckdb")
-    sql = f"SELECT count(*), avg(fx_px), min(temperature_c), count(DISTINCT camera_type) FROM '{table}'"
-    assert duckdb.execute(sql).fetchall() == [(5, 3346.5, 41.5, 1)]
-
-
-def test_the_metadata_of_the_file_has_the_version_the_faults_and_the_units(tmp_path, rows):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    path = tmp_path / "runs.parquet"
-    write_table(path, rows, ["a fault"])
-    schema = parquet.read_schema(path)
-    assert schema.metadata[b"starbench_schema"].decode() == SCHEMA
-    assert json.loads(schema.metadata[b"starbench_faults"]) == ["a fault"]
-    assert schema.field("fx_px").metadata[b"unit"] == b"px"
-
-
 def test_rows_are_written_in_blocks_and_a_failure_leaves_the_old_file(tmp_path, rows):
     pytest.importorskip("pyarrow")
     path = tmp_path / "runs.parquet"
@@ -142,18 +119,6 @@ def test_what_is_no_number_is_empty_and_named(tmp_path):
     assert json.loads(row["other_parameters"]) == {"own": {"value": 1.5, "sigma": 0.5}}
 
 
-def test_results_that_were_changed_give_nothing_but_a_warning(tmp_path):
-    folder, home = write_run(tmp_path / "run"), tmp_path / "home"
-    assert rows_of(home, [folder])[0]["target_serial"] == "T-1"
-    results = json.loads((folder / "results.json").read_text())
-    results["run"]["target"]["serial"] = "T-2"
-    (folder / "results.json").write_text(json.dumps(results))
-    (row,) = rows_of(home, [folder])
-    assert row["target_serial"] is None
-    assert row["warnings"] == ["results.json was changed: its SHA-256 is not the one in the journal."]
-    assert row["fx_px"] == 3345.0  # the journal has it
-
-
 def test_a_file_that_cannot_be_written_is_refused_with_what_to_do(tmp_path, monkeypatch):
     for name, what in (
         ("runs.xlsx", "not as .xlsx"),
@@ -177,9 +142,3 @@ def test_a_spreadsheet_takes_no_text_of_a_csv_table_for_a_formula(tmp_path, rows
         (cells,) = csv.DictReader(stream)
     assert (cells["operator"], cells["laboratory"]) == (f"'{operator}", "cam-7 = left")
     assert float(cells["fx_px"]) == -3345.5
-
-
-def test_a_fisheye_and_a_skew_have_columns():
-    assert parameter_columns("skew") == ("skew_px", "skew_sigma_px", "skew_expanded_px")
-    names = {column.name for column in COLUMNS}
-    assert {"kb1", "kb4_sigma", "skew_px", "radial_4_expanded"} <= names

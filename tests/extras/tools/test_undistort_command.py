@@ -89,15 +89,6 @@ def test_the_example_of_the_page_moves_events(capsys, calibrated, monkeypatch):
     )
 
 
-def test_it_says_in_words_what_was_written(capsys, calibrated):
-    _, folder = calibrated
-    shown = say(capsys, folder / "info.yaml", "-o", folder / "new", "--keep", 1)
-    assert "undistort.npz, camera_info.yaml." in shown
-    assert "New camera matrix: fx" in shown
-    again = (folder / "info.yaml", "-o", folder / "new")
-    assert "The folder is not empty" in say(capsys, *again, status=2)
-
-
 def test_the_tables_use_a_thin_prism_and_a_tilted_sensor_and_no_file_drops_them(capsys, tmp_path):
     lens = [-0.25, 0.06, 1e-3, -1e-3, 0.0, 0.0, 0.0, 0.0, 0.004, -0.003, 0.006, 0.002, 0.02, -0.01]
     camera = CAMERAS["brown"]
@@ -111,17 +102,6 @@ def test_the_tables_use_a_thin_prism_and_a_tilted_sensor_and_no_file_drops_them(
     pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1)[::20, ::20].reshape(-1, 2)
     seen = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, np.array(lens))[0].reshape(-1, 2)
     assert np.abs(seen - pixels).max() < 1e-4  # the tables are float32
-
-
-def test_the_arrays_of_opencvs_tutorial_get_tables_with_an_image_size(capsys, tmp_path):
-    camera = CAMERAS["brown"]
-    np.savez(tmp_path / "calib.npz", mtx=camera.matrix, dist=[camera.coefficients[:5]])
-    words = (tmp_path / "calib.npz", "-o", tmp_path / "new")
-    assert "--image-size" in say(capsys, *words, status=2)
-    say(capsys, *words, "--image-size", "400x300")
-    with np.load(tmp_path / "new" / "undistort.npz") as tables:
-        assert tables["rays"][150, 200] == pytest.approx(camera.rays(np.array([[200.0, 150.0]]))[0], abs=1e-6)
-        assert np.array_equal(tables["camera_matrix"], camera.matrix)
 
 
 def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, calibrated):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.extras.pages.align.focus import measure_focus
-from bench.extras.pages.align.focus_curve import KEPT_S, FocusCurve
+from bench.extras.pages.align.focus_curve import FocusCurve
 from calib.stars.quick import find_stars_quickly
 from simulators.optics.picture import TARGET
 from tests.support.live_slices import bench, fired, seen
@@ -43,27 +43,6 @@ def test_the_best_is_no_single_outlier():
     curve = curve_of([3.0, 2.5, 2.0, 0.4, 1.5, 1.2, 1.1, 1.0, 1.4, 1.9, 2.4, 2.9])
     assert curve.best_px == pytest.approx(1.1)
     assert curve_of([0.7, 0.7]).best_px is None
-
-
-def test_the_curve_holds_the_last_minute_and_the_best_is_kept_longer():
-    curve = curve_of([0.7] * 5 + [2.0] * 100)
-    assert curve.points()[0] == (104.0 - KEPT_S, 2.0)
-    assert curve.best_px == 0.7
-
-
-def test_a_picture_that_is_shown_again_counts_once():
-    curve = FocusCurve()
-    for time_s in (1.0, 1.0, 1.0, 2.0):
-        curve.add(time_s, 0.7)
-    assert (len(curve.points()), curve.best_px) == (2, None)
-
-
-def test_the_best_begins_anew_and_the_curve_stays_until_it_is_forgotten():
-    curve = curve_of([0.7] * 5)
-    curve.begin_best()
-    assert (len(curve.points()), curve.best_px) == (5, None)
-    curve.forget()
-    assert curve.points() == []
 
 
 def test_edges_that_look_sharp_in_dim_light_do_not_count():

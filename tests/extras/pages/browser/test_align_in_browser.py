@@ -1,6 +1,5 @@
 """The align page in a real browser: what a person sees, jogs, stops and writes down. Skipped where no Chromium is."""
 
-import re
 import shutil
 import time
 
@@ -81,29 +80,6 @@ def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
     assert page.hosts == {server.url.split("/")[2]}
 
 
-@pytest.mark.parametrize(("width", "height"), [(1366, 768), (1920, 1080)])
-def test_verdict_and_picture_are_whole_and_together_wherever_the_page_is_scrolled(
-    chromium, bench, width, height
-):
-    server, session, _ = bench
-    session.light(on=True)
-    page = Tab(chromium, server.url)
-    page.tab.set_viewport_size({"width": width, "height": height})
-    page.wait("alignStats.images > 0")
-    box = "(id => (r => [r.top, r.bottom, r.width])(document.getElementById(id).getBoundingClientRect()))"
-    for name in ("home", "check", "write-card"):
-        page.tab.evaluate(f"document.getElementById('{name}').scrollIntoView({{block: 'end'}})")
-        header = page.tab.evaluate(f"{box}('stop')")[1]
-        wait_until(lambda edge=header: page.tab.evaluate(f"{box}('whole')")[0] >= edge)
-        verdict, picture = (page.tab.evaluate(f"{box}('{part}')") for part in ("whole", "picture"))
-        assert header <= verdict[0] < verdict[1] <= picture[0] < picture[1] <= height, name
-        assert picture[2] > 0.4 * width
-    page.tab.focus("#check")
-    on_top = "(r => document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2).id)"
-    assert page.tab.evaluate(f"{on_top}(document.getElementById('check').getBoundingClientRect())") == "check"
-    page.close()
-
-
 def test_on_a_phone_nothing_scrolls_inside_a_box_and_ready_names_what_is_not(chromium, bench):
     server, session, devices = bench
     devices.stage.fault = "pan: stalled"
@@ -122,34 +98,6 @@ def test_on_a_phone_nothing_scrolls_inside_a_box_and_ready_names_what_is_not(chr
     )
     assert page.tab.evaluate(inside) == 0
     assert page.tab.evaluate("document.documentElement.scrollWidth") == 390
-    page.close()
-
-
-def test_before_home_the_page_turns_to_no_angle_and_writes_none(chromium, bench):
-    server, session, devices = bench
-    devices.stage.homed = False
-    page = Tab(chromium, server.url)
-    page.wait_text("#stage-state", "not homed")
-    page.wait_text("#whole", "Stage")
-    page.wait_text("#turn-note", "Press Home first")
-    assert page.tab.is_disabled("#turn-there")
-    assert page.tab.is_disabled("[name=what][value=zero]")
-    assert page.tab.is_disabled("#propose-pose")
-    assert not page.tab.is_disabled("#propose")  # biases and level need no angle
-    page.tab.click("#home")
-    page.tab.click("#home-now")
-    page.wait("!document.querySelector('[name=what][value=zero]').disabled")
-    assert session.bench.stage.state.homed
-    page.close()
-
-
-def test_stop_is_red_in_the_dark_too(chromium, bench):
-    page = Tab(chromium, bench[0].url)
-    page.tab.emulate_media(color_scheme="dark")
-    colour = page.tab.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor")
-    red, green, blue = (int(part) for part in re.findall(r"\d+", colour)[:3])
-    assert red > 180
-    assert max(green, blue) < 60
     page.close()
 
 

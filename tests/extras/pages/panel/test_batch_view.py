@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from journals import MadeRun, made_batch
 
-from bench.extras.pages.panel import batch_view, helper_process
+from bench.extras.pages.panel import batch_view
 from bench.extras.pages.panel.batch_view import BatchView
 from bench.extras.pages.panel.helper_process import (
-    CoverageRequest,
     ForecastRequest,
-    answer_request,
     picture_of_view,
     smooth_residuals,
 )
-from bench.extras.pages.panel.watching import Helper, forecast_poses
+from bench.extras.pages.panel.watching import Helper
 from bench.measure.measure import StoredImage
 from bench.run.last_view import LastView
-from calib.target import StarTarget
 
 
 @pytest.fixture
@@ -46,11 +40,6 @@ def test_a_batch_is_told_again_only_when_something_is_new(batch, monkeypatch):
     worst = content["items"][0]
     assert (worst["item"], worst["how"], worst["why"]) == ("one-001", "failed", "no light")
     assert content["status"]["running"] is False
-
-
-def test_a_damaged_batch_says_so(batch):
-    batch.path.write_bytes(batch.path.read_bytes().replace(b"Night", b"Day!!"))
-    assert "does not match its hash" in json.loads(BatchView(batch.folder).text()[0])["fault"]
 
 
 def test_failures_come_first_and_what_has_not_begun_last(batch, monkeypatch):
@@ -92,10 +81,6 @@ def test_a_smooth_fit_leaves_perspective_and_distortion_out_and_a_bad_star_in():
     assert residuals[40, 0] == pytest.approx(0.6, abs=0.1)
 
 
-def test_too_few_stars_have_no_residuals():
-    assert smooth_residuals(NODES[:19], _points(NODES[:19])) is None
-
-
 def test_the_picture_that_a_run_left_is_shown_with_its_stars():
     png = StoredImage.from_image(np.random.default_rng(1).random((36, 64))).png
     picture = picture_of_view(LastView(1, 1, NODES.tolist(), _points(NODES).tolist(), "", png))
@@ -105,28 +90,6 @@ def test_the_picture_that_a_run_left_is_shown_with_its_stars():
     json.dumps(picture, allow_nan=False)
     nothing = picture_of_view(LastView(1, 1, [], [], "no stars", png))
     assert (nothing["stars"], nothing["residuals"], nothing["fault"]) == ([], None, "no stars")
-
-
-def test_coverage_counts_the_stars_in_their_cells(monkeypatch):
-    monkeypatch.setattr(helper_process, "job_of_run", lambda _folder: SimpleNamespace(target=StarTarget()))
-    column, row = StarTarget().node_of([0])[0]
-    grid = [[100.0, 0.0, 50.0], [0.0, 100.0, 50.0], [0.0, 0.0, 1.0]]  # one star in each cell of 100 px
-    request = CoverageRequest(Path("x"), [400, 300], (4, 3), [(grid, 12), (grid, 12)])
-    assert (column, row) == (0, 0)
-    assert request.answer() == [2] * 12
-    assert sum(replace(request, grids=[(grid, 5)]).answer()) == 5
-
-
-def test_one_request_that_fails_does_not_end_the_others(tmp_path):
-    answer = answer_request(ForecastRequest(tmp_path, 1))
-    assert isinstance(answer, str)
-    assert "there is no such file" in answer
-
-
-def test_the_plan_is_forecast_as_a_whole_first():
-    assert forecast_poses(1) == [1]
-    assert forecast_poses(10_000)[0] == 60
-    assert len(forecast_poses(10_000)) <= 8
 
 
 def test_a_killed_helper_is_started_again(tmp_path, children):

@@ -9,7 +9,6 @@ import pytest
 from journals import MadeRun, made_batch
 
 from bench.base.errors import RunFolderError
-from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.extras.pages.panel.folder_list import FolderList
 from bench.record.folder_lock import lock_folder
 
@@ -60,16 +59,6 @@ def test_a_run_in_progress_is_read_on_and_an_ended_one_only_once(tmp_path, monke
         os.close(lock)
 
 
-def test_a_missing_folder_is_empty_until_it_is_there(tmp_path):
-    root = tmp_path / "runs"
-    listed = FolderList(root)
-    assert listed.look() == {
-        "root": str(root), "exists": False, "unread": 0, "runs": [], "batches": [], "faults": [],
-    }  # fmt: skip
-    MadeRun(root / "a").begin()
-    assert [row["key"] for row in listed.look()["runs"]] == ["a"]
-
-
 def test_a_damaged_run_is_listed_with_its_fault(tmp_path):
     run = MadeRun(tmp_path / "a").begin()
     run.path.write_bytes(run.path.read_bytes().replace(b'"homing"', b'"x"').replace(b'"EVK4"', b'"EVK5"'))
@@ -87,42 +76,6 @@ def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
         ("night", "Night", 1)
     ]
     assert listing["batches"][0]["ended_utc"] == ""
-
-
-@pytest.fixture
-def begun(tmp_path):
-    """A batch whose only run has begun, and the name of the run."""
-    batch = made_batch(tmp_path / "night")
-    (name,) = (run.item for run in read_batch_status(batch.folder).upcoming)
-    batch.write("item_begun", item=name, again=False, attempt=1, recorded=0)
-    return batch, name
-
-
-def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path, begun):
-    batch, name = begun
-    batch.write("item_ended", item=name, how="finished", why="", noticed_s=0.0, unsafe=[])
-    assert _look(tmp_path)["batches"][0]["ended_utc"] == ""
-    last = read_batch_status(batch.folder).last_end
-    batch.write("batch_ended", how="finished", why="")
-    assert _look(tmp_path)["batches"][0]["ended_utc"] == last.isoformat()
-
-
-@pytest.mark.parametrize("simulated", [True, False])
-def test_a_batch_with_a_simulated_run_is_marked(tmp_path, begun, simulated):
-    batch, name = begun
-    plan = MadeRun(batch.folder / "runs" / name).folder / "plan.json"
-    plan.write_text(json.dumps({**json.loads(plan.read_text()), "simulated": simulated}))
-    assert _look(tmp_path)["batches"][0]["simulated"] is simulated
-    assert ("SIMULATED" in batch_status_text(read_batch_status(batch.folder))) is simulated
-
-
-def test_a_damaged_batch_does_not_hide_the_runs(tmp_path):
-    MadeRun(tmp_path / "a").begin()
-    broken = MadeRun(tmp_path / "night")
-    (broken.folder / "queue.yaml").write_text("nonsense: [")
-    listing = _look(tmp_path)
-    assert [row["key"] for row in listing["runs"]] == ["a"]
-    assert "queue.yaml cannot be read" in listing["faults"][0]
 
 
 def test_a_folder_that_refuses_is_named(tmp_path, monkeypatch):
@@ -160,18 +113,3 @@ def test_of_very_many_runs_some_are_read_at_each_look_until_all_are_listed(tmp_p
     listed = FolderList(tmp_path)
     looks = [listed.look() for _ in range(3)]
     assert [(len(listing["runs"]), listing["unread"]) for listing in looks] == [(2, 3), (4, 1), (5, 0)]
-
-
-def test_a_run_that_another_replaces_in_its_folder_is_read_again(tmp_path):
-    old, new = (
-        MadeRun(tmp_path / "a").begin().end(),
-        MadeRun(tmp_path / "away" / "b").begin().end("failed", "so"),
-    )
-    listed = FolderList(tmp_path)
-    assert {row["key"]: row["how"] if "how" in row else row["verdict"] for row in listed.look()["runs"]}["a"]
-    times = old.path.stat()
-    new.path.write_bytes(new.path.read_bytes())
-    os.utime(new.path, ns=(times.st_atime_ns, times.st_mtime_ns))
-    new.path.rename(old.path)
-    row = next(row for row in listed.look()["runs"] if row["key"] == "a")
-    assert row["why"] == "so"
