@@ -13,12 +13,6 @@ def test_an_error_says_what_where_and_what_to_do():
     assert str(error) == "a.yaml: This is wrong. Write it again."
 
 
-def test_a_single_fault_gives_its_own_place_and_message():
-    error = DocumentFaults([FIRST])
-    assert (error.what, error.where, error.remedy) == (FIRST.message, "a.yaml:4:13: run.light_hz", "")
-    assert str(error) == str(FIRST)
-
-
 def test_several_faults_are_one_line_each_in_the_order_of_their_places():
     tree = Tree("a.yaml")
     error = DocumentFaults([SECOND, FIRST, SECOND], tree)

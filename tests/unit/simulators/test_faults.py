@@ -33,18 +33,6 @@ def test_an_order_is_read_as_typed(text, expected):
     assert fault_order_from_text(text) == expected
 
 
-def test_an_order_fills_in_the_defaults_of_its_fault():
-    late = fault_order({"device": "gimbal", "fault": "late", "delay_s": 2})
-    assert late.parameters == {
-        "count": 1,
-        "skip": 0,
-        "chance": 1.0,
-        "delay_s": 2.0,
-        "pattern": "",
-        "replacement": "",
-    }
-
-
 @pytest.mark.parametrize(
     ("given_order", "where"),
     [
@@ -107,16 +95,6 @@ def carried(line: SyncLine, first: int = 0, count: int = 60) -> list[tuple[int, 
     k = np.arange(first, first + count)
     t, value = line.carry(k, k * PERIOD, k * PERIOD + PERIOD // 2, float(PERIOD))
     return list(zip(t.tolist(), value.tolist(), strict=True))
-
-
-def test_a_good_sync_cable_carries_two_edges_a_period_in_turn():
-    edges = carried(SyncLine())
-    assert edges[:3] == [(0, 1), (PERIOD // 2, 0), (PERIOD, 1)]
-    assert len(edges) == 120
-
-
-def test_a_swapped_sync_cable_carries_low_for_high():
-    assert [(t, 1 - value) for t, value in carried(SyncLine(inverted=True))] == carried(SyncLine())
 
 
 def test_lost_and_stray_pulses_come_in_pairs_at_their_periods():

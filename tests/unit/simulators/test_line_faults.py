@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.errors import SimulatorError
-from simulators.faults.line_faults import REPLY_FAULTS, FaultLine, LineFault
+from simulators.faults.line_faults import FaultLine, LineFault
 
 
 class Parrot:
@@ -81,11 +80,6 @@ def test_an_unsolicited_message_is_sent_once():
     assert tried.line.unsolicited() == b""
 
 
-def test_messages_are_skipped_and_counted():
-    tried = Line(LineFault("lost", skip=1, count=2))
-    assert [tried.ask(b"a") for _ in range(4)] == [b"A", b"", b"", b"A"]
-
-
 def test_a_fault_by_chance_affects_a_share_and_the_same_messages_for_the_same_seed():
     def run() -> list[bytes]:
         tried = Line(LineFault("lost", count=None, chance=0.3), seed=7)
@@ -93,15 +87,3 @@ def test_a_fault_by_chance_affects_a_share_and_the_same_messages_for_the_same_se
 
     assert run() == run()
     assert 600 < run().count(b"A") < 800
-
-
-def test_any_draws_from_every_fault_that_needs_no_text():
-    tried = Line(LineFault("any", count=None))
-    answers = {tried.ask(b"abcdefgh") for _ in range(300)}
-    assert {b"", b"ABCDEFGHABCDEFGH", b"ABCD"} <= answers
-    assert b"ABCDEFGH" not in answers
-
-
-def test_an_unknown_fault_is_refused_with_the_known_ones():
-    with pytest.raises(SimulatorError, match=", ".join(REPLY_FAULTS)):
-        Line(LineFault("nonsense"))

@@ -34,16 +34,8 @@ def test_a_fault_changes_a_frame_as_ordered(fault, arrives):
     assert carried(fault) == [arrives]
 
 
-def test_frames_are_skipped_and_counted():
-    assert carried(StreamFault("frames_lost", skip=1, count=2), frames=4) == [WHOLE, [], [], WHOLE]
-
-
 @pytest.mark.parametrize("kind", ["clock_back", "silence"])
 def test_a_jump_of_the_clock_and_silence_last(kind):
     first, *later = carried(StreamFault(kind), frames=5)
     assert first != WHOLE
     assert later == [first] * 4
-
-
-def test_without_faults_frames_arrive_unchanged():
-    assert carried(frames=2) == [WHOLE, WHOLE]

@@ -1,17 +1,12 @@
 """The simulated world and its temperature."""
 
 import math
-import struct
-import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from waiting import wait_until
 
-from simulators.bench import Pulse
-from simulators.errors import SimulationMisuse
-from simulators.world.drift import temperature_c, truth_at_temperature
+from simulators.world.drift import temperature_c
 from simulators.world.truth import REFERENCE_C, ThermalTruth, Truth
 from simulators.world.world import AxisMotion, LightState, World
 
@@ -26,13 +21,6 @@ def test_the_past_stays_as_it_was():
     assert [world.is_settled(t) for t in (4.0, 6.0, 7.0)] == [True, False, True]
     assert dict(world.resting_microsteps(4.0)) == {"pan": 6400}
     assert [world.light(t).output for t in (5.9, 6.1)] == [False, True]
-
-
-def test_a_state_before_the_last_one_is_refused():
-    world = World(clock=lambda: 10.0)
-    world.set_light(LightState(), since_s=3.0)
-    with pytest.raises(SimulationMisuse):
-        world.set_light(LightState(), since_s=2.0)
 
 
 def test_light_is_dark_without_output():
@@ -77,12 +65,6 @@ def test_the_camera_warms_by_the_law_of_the_truth(on_s):
     assert temperature_c(WARMING, on_s) == pytest.approx(expected, abs=0.0051)
 
 
-def test_by_default_the_camera_is_warm_from_the_start_and_nothing_changes():
-    truth = Truth()
-    assert temperature_c(truth.thermal, 0.0) == temperature_c(truth.thermal, 1e5) == REFERENCE_C
-    assert truth_at_temperature(truth, 12.0) is truth
-
-
 def test_the_focal_length_follows_the_temperature_of_the_moment():
     clock = Clock()
     world = World(Truth(thermal=WARMING), clock=clock)
@@ -97,13 +79,3 @@ def test_the_focal_length_follows_the_temperature_of_the_moment():
 
 
 # ---------------------------------------------------------------- pulses
-
-
-def test_the_pulse_runs_and_never_faster_than_the_clock(tmp_path):
-    path = tmp_path / "pulse"
-    began_s = time.monotonic()
-    pulse = Pulse(path)
-    wait_until(lambda: struct.unpack("<d", path.read_bytes())[0] >= 0.05, 10.0)
-    lived_s = struct.unpack("<d", path.read_bytes())[0]
-    assert lived_s <= time.monotonic() - began_s
-    pulse.close()
