@@ -2,25 +2,21 @@
 
 import inspect
 import json
-import re
 from dataclasses import replace
 
 import pytest
 from json_form import with_json
-from quick_runs import END, THREE
 from rehearsed import Scene
 
-from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.base.errors import BenchError, JournalBroken
 from bench.base.failure import FORESEEN, Failure
-from bench.commands.output import failure_of
 from bench.commands.run import show_run
 from bench.record.device_end import DeviceEnd
 from bench.record.events import Event
 from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.runner import RunEnd
-from bench.run.status import line_text, read_status
-from bench.run.steps_to_do import intentions
+from bench.run.status import line_text
 from calib.errors import CalibrationError
 from drivers.errors import CameraLost, DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError
@@ -40,22 +36,6 @@ def test_errors_of_all_packages_have_one_shape(base):
     assert (error.what, error.where, error.remedy) == ("It is dark.", "the lamp", "Switch it on.")
     assert str(error) == "the lamp: It is dark. Switch it on."
     assert str(base("It is dark.")) == "It is dark."
-
-
-@pytest.mark.parametrize(
-    "base",
-    [BenchError, CalibrationError, DriverError, SequencesError, SimulatorError],
-    ids=lambda e: e.__name__,
-)
-def test_an_error_that_quotes_a_sentence_has_one_full_stop(base):
-    error = base("It cannot be read: The file is bad..", where="a.raw", remedy="Copy it again.")
-    assert str(error) == "a.raw: It cannot be read: The file is bad. Copy it again."
-    assert base("And so on...").what == "And so on..."
-
-
-def test_what_other_programs_say_is_quoted_with_one_full_stop():
-    assert failure_of(OSError("No disk.")).what == "No disk."
-    assert failure_of(ZeroDivisionError("division by zero.")).what.endswith("division by zero.")
 
 
 def test_a_failure_says_what_its_error_says_and_one_that_nobody_foresaw_is_a_defect():
@@ -158,56 +138,6 @@ def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
     assert run_end["devices"][1]["said"] == "it was read back as off"
 
 
-def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
-    end = RunEnd("failed", "the port is missing", tmp_path, None)
-    assert show_run(end) == 1
-    errors = capsys.readouterr().err
-    assert "Look at the bench: the stage may turn, and the light may be on." in errors
-    assert not re.search("moved nothing|may be moving", errors)
-
-
-def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_each_confirmed(
-    tmp_path, monkeypatch, capsys
-):
-    """The second time it said that no device was ready, and that the light may be on."""
-
-    def full(*_):
-        raise StorageError("The disk is full.", where="views.h5", remedy="Make room.")
-
-    monkeypatch.setattr("bench.batch.rehearsal.RehearsedResults.write", full)
-    scene = Scene(tmp_path, poses=THREE, end=END)
-    for opened, head in (
-        (True, "The bench is safe; each device confirmed it:"),
-        (False, "No device was needed. Each confirmed before that it was safe:"),
-        (False, "No device was needed. Each confirmed before that it was safe:"),
-    ):
-        end = scene.run()
-        assert (end.how, end.opened) == ("failed", opened)
-        assert [device.state for device in end.devices] == ["confirmed safe"] * 3
-        show_run(end)
-        errors = capsys.readouterr().err
-        assert head in errors.splitlines()
-        assert "Look at the bench" not in errors
-        assert [device["state"] for device in read_status(scene.folder).devices] == ["confirmed safe"] * 3
-    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
-    assert (
-        "(failed: views.h5: The disk is full. Make room). 3 of 3" in intentions(scene.task, history, None)[0]
-    )
-
-
-def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):
-    (tmp_path / "captures").mkdir()
-    for name in ("pose-001-attempt-1.raw", "pose-002-attempt-1.raw"):
-        (tmp_path / "captures" / name).touch()
-    assert show_run(RunEnd("finished", "", tmp_path, None, opened=True)) == 0
-    captured = capsys.readouterr()
-    assert "Recordings (2):\n  captures/pose-001-attempt-1.raw\n  captures/pose-002" in captured.out
-    assert f"starbench calibrate {tmp_path} --output" in captured.out
-    assert "finished and sealed. Its sequence has no report step, so there is no result." in captured.out
-    assert "resume" not in captured.out + captured.err
-    assert "failed" not in captured.out + captured.err
-
-
 def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):
     errors = {"stage.move_to": slipped()}
     scene = scene_with(tmp_path, errors)
@@ -215,14 +145,6 @@ def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):
     errors.clear()
     assert scene.run().how == "finished"
     assert replay(read_journal(scene.folder / "journal.jsonl")[0]).failures == [SLIPPED]
-
-
-def test_a_run_that_was_aborted_has_no_failure(tmp_path):
-    scene = Scene(tmp_path)
-    scene.hook = lambda name: scene.clock.request_stop("enough") if name == "stage.move_to" else None
-    end = scene.run()
-    assert (end.how, end.failure) == ("aborted", None)
-    assert "error" not in scene.data_of(Event.RUN_ENDED)[0]
 
 
 @pytest.mark.parametrize(

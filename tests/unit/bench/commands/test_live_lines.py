@@ -1,9 +1,6 @@
 """Lines that show how far a command is."""
 
-import io
-import sys
-
-from bench.commands.workers import PartsLine, views_line
+from bench.commands.workers import PartsLine
 
 
 class TimedLine(PartsLine):
@@ -40,15 +37,3 @@ def test_a_calculation_shows_how_long_it_takes_at_least():
         "3 views found; the camera is calculated, at least 0:16 left",
         "3 views found; the camera is calculated, at least 0:05 left",
     ]
-
-
-def test_a_terminal_shows_how_many_views_are_found_and_then_that_the_camera_is_calculated(monkeypatch):
-    screen = io.StringIO()
-    monkeypatch.setattr(screen, "isatty", lambda: True)
-    monkeypatch.setattr(sys, "stderr", screen)
-    with views_line() as reached:
-        for done in (1, 2, 3):
-            reached(done, 3)
-    assert "1 of 3 views found" in screen.getvalue()
-    assert "3 views found; the camera is calculated" in screen.getvalue()
-    assert screen.getvalue().endswith(" \r")

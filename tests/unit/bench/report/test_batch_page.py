@@ -76,38 +76,6 @@ def test_nothing_in_a_summary_becomes_markup():
     assert html.count("&lt;script&gt;") >= 3
 
 
-def test_a_command_in_a_reason_is_shown_as_one():
-    html = render_batch(summary(item("a-001", "failed", "Focus it by `align`, <b>then</b> call `x`.")))
-    assert "Focus it by <code>align</code>, &lt;b&gt;then&lt;/b&gt; call <code>x</code>." in html
-
-
-def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
-    cameras = [of_runs([run(n) for n in range(4)])]
-    html = render_batch(summary(item("a-001", report="runs/a-001/report.html"), cameras=cameras))
-    assert [link for link in Structure(html).links if not link.startswith("#")] == ["runs/a-001/report.html"]
-    assert "@import" not in html
-    assert "expanded uncertainty with k = 2.2, 2.3" in html
-
-
-def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
-    begun = item("a-001", "failed", "the lamp is dark")
-    not_begun = item("b-001", "not begun", begun_utc=None, ended_utc=None, took_s=None, tries=[])
-    html = render_batch(summary(begun, not_begun))
-    assert "the lamp is dark" in html
-    assert "<b>Not begun:</b> b-001." in html
-    assert "2026-03-01 20:00 to 2026-03-02 04:00" in html  # Berlin
-    assert "REHEARSAL" not in html
-    assert "SIMULATED" not in html
-
-
-def test_the_page_has_the_command_by_which_each_begun_run_goes_on():
-    failed = item("cam-1", "failed", "The lamp is open.")
-    page = render_batch(summary(failed, item("cam-2", "not begun", begun_utc=None), how="failed"))
-    assert "starbench resume runs/cam-1" in page
-    assert "resume runs/cam-2" not in page
-    assert "starbench resume" not in render_batch(summary(failed, how="failed", rehearsal=True))
-
-
 def test_the_page_says_in_words_whether_the_results_agree():
     def page(*runs):
         return render_batch(summary(cameras=[of_runs(runs)]))
@@ -148,14 +116,6 @@ def test_a_run_is_green_only_without_any_reservation(facts, pill):
 def test_what_is_not_measured_says_so_at_the_top(flag):
     html = render_batch(summary(item("a-001"), **{flag: True}))
     assert '<div class="simulated-bar">' + flag.upper() in html
-
-
-def test_the_mean_of_many_runs_is_not_better_than_what_they_share():
-    drawn = np.random.default_rng(4)
-    runs = [run(n, fx=0.3 * drawn.normal(), sigma=0.5, shared=0.4, hours=0.1 * n) for n in range(60)]
-    fx = agreements(runs)[0]
-    assert 0.4 < fx.sigma < 0.41
-    assert fx.expanded == 2.2 * fx.sigma
 
 
 def test_runs_that_differ_much_less_than_they_say_are_told_and_their_mean_is_not_better():

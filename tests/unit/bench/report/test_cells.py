@@ -7,13 +7,11 @@ import pytest
 from report_sample import SMALL, sample
 
 from bench.charts.chart_findings import find_charts
-from bench.report.batch_page import render_batch
 from bench.report.control_chart import render_charts
 from bench.report.html import ReportData, render_report
 from bench.wording.numbers import NOTHING
 from tests.unit.bench.charts.test_charts import steady
 from tests.unit.bench.report.structure import cells
-from tests.unit.bench.report.test_batch_page import item, summary
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -54,26 +52,6 @@ def test_a_recording_shows_why_it_was_refused(page):
         "[pass] accepted",
         "[fail] refused",
     ]
-
-
-def test_the_truth_has_the_digits_of_the_uncertainty(page):
-    fx, _, cx = cells(page, "Comparison with the simulated truth")[:3]
-    assert fx == ["fx", "3346.4", "± 4.3", "3345.1", "1.3", "0.61"]
-    assert cx[4:] == [f"{MINUS}1.6", f"{MINUS}1.22"]
-
-
-def test_a_run_of_a_batch_shows_how_it_ended():
-    runs = [
-        item("a", ledger_number=9),
-        item("b", "failed", took_s=None, poses=None, temperature_c=40.25, parameters={}, camera=None),
-        item("c", "aborted", deviations=3, rms_px=None),
-    ]
-    took, fx = "10 min 0 s", "3300.0 ± 1.0"
-    assert cells(render_batch(summary(*runs)), "All runs") == [
-        ["a", "9", "20:00", took, "1", "9 / 9", "10", "1", NOTHING, NOTHING, "0.0500", fx, "[pass] finished"],
-        ["b", NOTHING, "20:00", NOTHING, NOTHING, "9", "10", "1", NOTHING, "40.2", "0.0500", NOTHING, "[fail] failed"],
-        ["c", NOTHING, "20:00", took, "1", "9 / 9", "10", "1", "3", NOTHING, NOTHING, fx, "[marginal] aborted"],
-    ]  # fmt: skip
 
 
 def test_a_chart_counts_the_runs_beyond_each_limit_and_marks_a_drift_that_is_seen():

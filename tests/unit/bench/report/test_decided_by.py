@@ -7,7 +7,6 @@ import pytest
 from report_sample import SMALL, sample
 
 from bench.measure.view_picture import ViewPicture
-from bench.report.phone_tables import label_cells
 from bench.report.pose_scene import pose_scene
 from bench.report.residual_words import direction_text, rim_text
 from bench.wording.target_words import STARS
@@ -51,11 +50,6 @@ def test_residuals_at_the_rim_are_told_only_if_they_stand_out(rim_px, stands_out
         assert "px RMS, and 0.14 px in the middle" in text  # two numbers each
 
 
-def test_few_stars_at_the_rim_say_nothing():
-    assert rim_text(residuals(rim_px=2.0, stars=60), {"cx": 640.0, "cy": 360.0}, STARS) == ""
-    assert rim_text([], {"cx": 640.0, "cy": 360.0}, STARS) == ""
-
-
 def test_residuals_of_one_direction_are_told_with_their_part_of_the_image():
     (noise,) = residuals(rim_px=0.1)
     assert direction_text([noise], (1280, 720)) == ""
@@ -77,17 +71,3 @@ def test_the_scene_shows_each_pose_from_the_camera_to_the_target():
     assert "Poses: 1 of 1" in pose_scene(calibration)
     calibration["views"] = []
     assert pose_scene(calibration) == ""
-
-
-def test_each_cell_carries_the_head_of_its_column():
-    """A head over two columns names the first of them, and the first cell is the title of its row."""
-    table = (
-        '<table><thead><tr><th colspan="2">Quantity</th><th>Value, "px"</th></tr></thead><tbody>'
-        '<tr><td>fx</td><td>focal length</td><td class="n">3346</td></tr>'
-        '<tr><td colspan="2">sum</td><td>1</td></tr></tbody></table>'
-    )
-    labelled = label_cells(table)
-    assert "<td>fx</td><td>focal length</td>" in labelled
-    assert '<td class="n" data-label="Value, &quot;px&quot;">3346</td>' in labelled
-    assert '<td colspan="2">sum</td><td data-label="Value, &quot;px&quot;">1</td>' in labelled
-    assert label_cells("<table><tr><td>1</td></tr></table>") == "<table><tr><td>1</td></tr></table>"

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.distortion_plot import displacement, distortion_curve, field_angles_deg
 from bench.report.maps import round_levels, sensor_map
-from bench.report.supported import reach_px, star_distance
 from calib.uncertainty.projection_uncertainty import sensor_grid
 
 
@@ -30,12 +29,6 @@ def test_a_map_labels_its_contours_with_these_numbers():
     labels = {float(text) for text in re.findall(r">(0\.\d+)</text>", svg)}
     assert {0.1, 0.2, 0.5} <= labels
     assert "at most 0.94" in svg
-
-
-def test_a_map_without_any_difference_has_no_contour_and_no_fault():
-    grid = sensor_grid((640, 360), 9)
-    assert "at most 0.1" in sensor_map(grid, np.full(grid.shape[:2], 0.1), "U", "u", "U")
-    assert "at most 0" in sensor_map(grid, np.zeros(grid.shape[:2]), "U", "u", "U")
 
 
 def test_the_distortion_curve_is_brown_s_with_the_propagated_uncertainty(data):
@@ -66,12 +59,3 @@ def test_a_fisheye_lens_is_drawn_against_its_own_ideal():
     theta = np.radians(60.0)
     np.testing.assert_allclose(shown, [0, 300 * 0.01 * theta**3], atol=1e-6)
     assert sigma[1] > 0
-
-
-def test_stars_support_their_surroundings_only():
-    distance = star_distance(np.array([[100.0, 50.0], [-3.0, 1e9]]), (400, 300))
-    assert distance.shape == (300, 400)
-    assert distance[50, 100] == 0
-    assert distance[299, 0] == 0  # outside: the nearest pixel
-    assert distance[50, 140] == pytest.approx(40, abs=0.01)
-    assert reach_px((400, 300)) == pytest.approx(25.0)

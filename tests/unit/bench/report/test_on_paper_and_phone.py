@@ -9,9 +9,6 @@ import pytest
 pytest.importorskip("playwright")
 from playwright.sync_api import sync_playwright
 
-from bench.report.batch_page import render_batch
-from tests.unit.bench.report.test_batch_page import item, summary
-
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer")
 FLAGS = (
@@ -44,20 +41,6 @@ BROKEN_NUMBERS = """() => [...document.querySelectorAll('table.result td.factor'
 BESIDE_THEIR_MEANING = """() => [...document.querySelectorAll('table.result tr:has(.meaning)')].filter(e =>
   e.querySelector('.value').getBoundingClientRect().top
     < e.querySelector('.meaning').getBoundingClientRect().bottom - 4).map(e => e.textContent)"""
-
-
-def test_the_page_of_a_batch_fits_a_phone(tmp_path):
-    page_file = tmp_path / "summary.html"
-    page_file.write_text(
-        render_batch(summary(item("a-001", ledger_number=9, ledger_head="a" * 64))), encoding="utf-8"
-    )
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        page = browser.new_page(viewport={"width": 390, "height": 844})
-        page.goto(Path(page_file).as_uri())
-        assert page.evaluate("document.documentElement.scrollWidth") == 390
-        assert page.evaluate(CUT) == []
-        browser.close()
 
 
 def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):

@@ -7,7 +7,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from report_sample import of_many_poses
 
@@ -29,13 +28,6 @@ def test_every_element_is_closed_and_every_id_is_unique(html):
     assert references <= set(ids)
 
 
-def test_every_picture_has_a_name_for_those_who_do_not_see_it(html):
-    pictures = re.findall(r'<svg [^>]*role="img"[^>]*>', html)
-    labels = [re.search(r'aria-label="([^"]+)"', picture) for picture in pictures]
-    assert all(labels)
-    assert len({label[1] for label in labels}) == len(pictures) == 12
-
-
 def test_it_needs_no_network_and_runs_no_script(html):
     structure = Structure(html)
     assert not {"script", "iframe", "object", "embed", "link", "form", "base"} & set(structure.tags)
@@ -49,11 +41,6 @@ def test_it_needs_no_network_and_runs_no_script(html):
     assert all(value.startswith(("#", "data:image/")) for value in loaded)
     assert not re.findall(r"url\((?!#)", html)
     assert "@import" not in html
-
-
-def test_it_forbids_all_but_its_own_pictures_and_style(html):
-    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', html)
-    assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline';")
 
 
 def test_the_same_data_give_the_same_bytes_in_another_process(html, tmp_path):
@@ -89,20 +76,6 @@ def test_names_cannot_become_markup(data):
     ]
     assert not [a for a in structure.attributes if a[1].startswith("on")]
     assert "{{ 7*7 }}" in html
-
-
-@pytest.mark.slow
-def test_a_page_of_twenty_noisy_poses_stays_small():
-    rng = np.random.default_rng(3)
-    points = rng.uniform(10, 700, (450, 2))
-    noise = rng.integers(0, 256, (720, 1280), dtype=np.uint8)
-    views = [
-        ViewPicture(f"pose {i}", noise, points + rng.normal(0, 0.1, points.shape), points, np.arange(450))
-        for i in range(20)
-    ]
-    html = render_report(of_many_poses(views))
-    assert html.count('<svg class="pose"') == 20
-    assert len(html) < 3_000_000
 
 
 @pytest.mark.slow

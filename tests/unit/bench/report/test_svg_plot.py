@@ -10,11 +10,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from bench.measure.view_picture import ViewPicture
 from bench.report.contours import outlines
-from bench.report.plots import regions, residual_vectors
 from bench.report.svg_plot import Key, Picture, Words, axes_in
-from bench.report.svg_scale import Scale, log_ticks, text_width, tick_labels, ticks
+from bench.report.svg_scale import Scale, tick_labels, ticks
 from tests.unit.bench.report.structure import Structure
 
 # ---------------------------------------------------------------- the frame
@@ -24,14 +22,6 @@ def framed(x=None, y=None, words=None, size=(280.0, 190.0), **more):
     picture = Picture(*size, "p", "a plot")
     axes = axes_in(picture, x or Scale(0, 10), y or Scale(0, 1), words or Words(("t",), "x", "y"), **more)
     return axes, picture
-
-
-def views(count, names=None):
-    points = np.random.default_rng(1).uniform(0, 100, (30, 2))
-    return [
-        ViewPicture((names or {}).get(n, f"pose {n}"), None, points, points - 0.1, np.arange(30))
-        for n in range(count)
-    ]
 
 
 @pytest.mark.parametrize(
@@ -45,14 +35,6 @@ def test_axes_and_their_words_lie_within_the_picture(words, equal):
     for x, y in [*corners, *places]:
         assert 0 <= float(x) <= picture.width
         assert 0 <= float(y) <= picture.height
-
-
-def test_both_axes_have_the_same_unit_if_that_is_wanted():
-    axes, _ = framed(Scale(-0.5, 1279.5), Scale(719.5, -0.5), equal=True)
-    (a, b), (c, d) = axes.at([(0, 0), (100, 100)])
-    assert c - a == pytest.approx(d - b, abs=0.02)
-    assert c > a
-    assert d > b
 
 
 def test_points_lie_where_the_scales_put_them():
@@ -75,21 +57,6 @@ def test_a_picture_says_in_words_what_it_shows_and_words_cannot_become_markup():
     structure = Structure(picture.svg())
     assert (structure.wrong, structure.open) == ([], [])
     assert "script" not in structure.tags
-
-
-def test_a_high_sensor_keeps_its_shape():
-    svg = regions(views(2), (480, 640))
-    width, height = map(float, re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg).groups())
-    assert height > 0.9 * width
-    clip = re.search(r'<rect x="[\d.]+" y="[\d.]+" width="([\d.]+)" height="([\d.]+)"/></clipPath>', svg)
-    assert float(clip[2]) / float(clip[1]) == pytest.approx(640 / 480, rel=0.01)
-
-
-def test_long_names_of_poses_take_more_rows_and_many_poses_have_no_legend():
-    wide = residual_vectors(views(6, dict.fromkeys(range(6), "a name of twenty-nine letters")), (100, 60))
-    rows = {y for y, text in re.findall(r'y="([\d.]+)"[^>]*>([^<]*)<', wide) if text.startswith("a name")}
-    assert len(rows) > 1
-    assert ">pose 0<" not in residual_vectors(views(7), (100, 60))
 
 
 def test_a_report_and_its_charts_load_no_library_that_draws():
@@ -116,26 +83,6 @@ def test_ticks_are_few_round_numbers_within_the_range(low, span, most):
     if len(places) > 1:
         assert float(f"{step:.0e}") == pytest.approx(step, rel=1e-6)
         assert len(set(tick_labels(places))) == len(places)
-
-
-def test_a_range_that_is_upside_down_has_its_first_value_at_the_bottom():
-    rows = Scale(719.5, -0.5)
-    np.testing.assert_allclose(rows.share([719.5, 359.5, -0.5]), [0, 0.5, 1])
-    assert [label for _, label in rows.chosen_ticks(4)] == ["0", "200", "400", "600"]
-
-
-def test_a_logarithmic_axis_spreads_ratios_evenly_and_has_round_numbers():
-    np.testing.assert_allclose(Scale(1, 100, "log").share([1, 10, 100]), [0, 0.5, 1])
-    assert log_ticks(0.7, 30) == [1, 2, 5, 10, 20]
-    assert log_ticks(1e-4, 1e4, 5)[0] == 1e-4
-    assert set(np.log10(log_ticks(1e-4, 1e4, 5)) % 1) == {0}
-    assert log_ticks(3.1, 3.9) == [3.2, 3.4000000000000004, 3.6, 3.8000000000000003]
-    assert [label for _, label in Scale(3.1, 3.9, "log").chosen_ticks(5)] == ["3.2", "3.4", "3.6", "3.8"]
-
-
-def test_a_wider_text_is_estimated_as_wider():
-    assert text_width("column, px", 9) < text_width("COLUMN, px", 9)
-    assert text_width("\N{CJK UNIFIED IDEOGRAPH-5C71}", 10) > text_width("l", 10)
 
 
 # ---------------------------------------------------------------- outlines of the part of a map that reaches a level
@@ -170,22 +117,6 @@ def test_a_disc_within_the_map_is_one_closed_line_and_outside_of_it_a_hole():
     outside = outlines(X, Y, distance, 30.0)
     assert len(outside) == 2
     assert total(outside) == pytest.approx(160 * 90 - np.pi * 900, rel=0.01)
-
-
-def test_a_map_that_reaches_the_level_everywhere_is_whole_and_without_contours():
-    (whole,) = outlines(X, Y, np.ones((len(Y), len(X))), 1.0)
-    assert total([whole]) == pytest.approx(160 * 90)
-    assert whole.lines() == []
-    assert outlines(X, Y, np.zeros((len(Y), len(X))), 1.0) == []
-
-
-def test_where_the_map_is_not_known_nothing_is_inside():
-    values = np.ones((len(Y), len(X)))
-    values[10:20, 10:20] = np.nan
-    inside = outlines(X, Y, values, 0.5)
-    assert total(inside) == pytest.approx(160 * 90 - (X[20] - X[9]) * (Y[20] - Y[9]), rel=0.01)
-    assert [outline.lines() for outline in inside] == [[], []]
-    assert all(np.isfinite(outline.points).all() for outline in inside)
 
 
 @settings(max_examples=30, deadline=None)

@@ -39,9 +39,3 @@ def test_nothing_in_the_report_of_a_board_is_called_a_star(camera):
     for phrase in ("residuals of the points", "checkerboard:11x7:20mm"):
         assert phrase in words
     assert "the board\N{RIGHT SINGLE QUOTATION MARK}s nominal dimensions" in words
-
-
-def test_a_pose_that_a_person_called_star_keeps_its_name():
-    data = of_board()
-    data.results["poses"][0]["name"] = "star 3"
-    assert "star 3" in printed_text(render_report(data))

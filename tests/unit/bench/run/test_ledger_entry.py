@@ -34,16 +34,6 @@ def run(ledger, folder, task):
     return place
 
 
-def test_a_whole_ledger_is_not_worth_a_word(ledger, tmp_path):
-    place = run(ledger, tmp_path / "a", job())
-    assert set(place) == {"number", "head", "of_camera"}
-    assert ledger_lines(place) == []
-    assert [run.how for run in ledger.runs()] == ["aborted"]
-    names = [name for name, _ in identification({"run": {"ledger": place}})]
-    assert "Line of the ledger" in names
-    assert "Ledger" not in names
-
-
 def test_a_break_is_told_and_stands_in_the_place_and_in_the_report(ledger, tmp_path):
     run(ledger, tmp_path / "a", job())
     ledger.path.unlink()
@@ -68,13 +58,6 @@ def test_a_strict_station_refuses_a_break_before_anything_is_made(ledger, tmp_pa
     assert not ledger.path.exists()
 
 
-def test_the_word_strict_alone_is_a_section():
-    assert LedgerConfig.model_validate("strict") == LedgerConfig(strict=True)
-    for path in ("bench2.heads", "../share/heads", "~/heads"):
-        with pytest.raises(ValueError, match="absolute path"):
-            LedgerConfig(anchor=path)
-
-
 def test_a_run_that_is_resumed_keeps_its_place_unless_the_ledger_has_lost_it(ledger, tmp_path):
     place = run(ledger, tmp_path / "a", job())
     assert enter_in_ledger(ledger, job(), tmp_path / "a", place) == place
@@ -86,20 +69,3 @@ def test_a_run_that_is_resumed_keeps_its_place_unless_the_ledger_has_lost_it(led
     again = enter_in_ledger(ledger, job(), tmp_path / "a", place)
     assert again["head"] != place["head"]
     assert "was damaged" in again["faults"][0]
-
-
-def test_a_resumed_run_tells_of_a_break_too(ledger, tmp_path):
-    place = run(ledger, tmp_path / "a", job())
-    run(ledger, tmp_path / "b", job())
-    ledger.path.write_bytes(b"".join(ledger.path.read_bytes().splitlines(keepends=True)[:2]))
-    assert "2 are missing" in enter_in_ledger(ledger, job(), tmp_path / "a", place)["faults"][0]
-    with pytest.raises(EvidenceError):
-        enter_in_ledger(ledger, job(strict=True), tmp_path / "a", place)
-
-
-def test_a_station_that_names_a_second_place_is_told_that_it_is_not_used(ledger, tmp_path):
-    anchor = tmp_path / "bench2.heads"
-    place = run(ledger, tmp_path / "a", job(anchor=str(anchor), strict=True))
-    assert "faults" not in place
-    assert any(line.startswith("WARNING: ") and "ledger.anchor" in line for line in ledger_lines(place))
-    assert not anchor.exists()

@@ -10,12 +10,11 @@ from bench.record.history import History, replay
 from bench.record.journal import Journal
 from bench.run.steps_to_do import (
     intentions,
-    poses_crashed_too_often,
     remaining_steps,
     steps_of_pose,
     steps_to_repeat,
 )
-from sequences.script import MoveStep, RecordStep, ReportStep, SettleStep, SolveStep
+from sequences.script import MoveStep, RecordStep, SettleStep
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +32,6 @@ def numbers(steps):
     return [step.number for step in steps]
 
 
-def test_a_new_run_has_every_step_to_do(steps):
-    assert numbers(remaining_steps(steps, [])) == numbers(steps)
-
-
 @pytest.mark.parametrize(
     ("done", "first"),
     [(6, [5, 6, 7]), (5, [5, 6]), (7, [8]), (4, [5])],
@@ -46,21 +41,12 @@ def test_what_a_step_depends_on_is_repeated(steps, done, first):
     assert numbers(remaining_steps(steps, range(1, done + 1)))[: len(first)] == first
 
 
-def test_a_report_depends_on_the_solution(steps):
-    done = {0, *range(1, 13)}
-    assert [type(s) for s in remaining_steps(steps, done)] == [SolveStep, ReportStep]
-
-
 def test_a_recording_depends_on_its_move_and_a_move_on_nothing(steps):
     by_number = {step.number: step for step in steps}
     assert [type(s) for s in steps_to_repeat(steps, by_number[7])] == [MoveStep, SettleStep]
     assert [type(s) for s in steps_to_repeat(steps, by_number[6])] == [MoveStep]
     assert steps_to_repeat(steps, by_number[5]) == []
     assert steps_to_repeat(steps, by_number[11]) == []
-
-
-def test_a_pose_consists_of_move_settling_and_recording(steps):
-    assert numbers(steps_of_pose(steps, 2)) == [5, 6, 7]
 
 
 def test_a_move_for_two_recordings_is_not_skipped_with_one_of_them(steps):
@@ -113,12 +99,6 @@ def test_crashes_count_against_the_pose_at_work_and_kills_do_not(tmp_path, lines
     assert lived(tmp_path, *lines).crashes == crashes
 
 
-def test_one_crash_at_a_pose_is_allowed_and_two_are_not(tmp_path):
-    assert poses_crashed_too_often(History(crashes={2: 1})) == {}
-    assert "crashed 2 times" in poses_crashed_too_often(History(crashes={2: 2}))[2]
-    assert poses_crashed_too_often(History(crashes={2: 2}, skipped={2: "so"})) == {}
-
-
 # ---------------------------------------------------------------- what resuming says first
 
 
@@ -131,15 +111,3 @@ def test_resuming_states_what_is_kept_recorded_and_skipped(job):
     assert "Record pose" not in text
     assert text.endswith("Then: solve, report, seal.")
     assert history.crashes == {2: 1}
-
-
-def test_resuming_names_each_pose_to_record_and_the_repeated_move(job):
-    sentences = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
-    assert "killed, power lost or disk full" in sentences[0]
-    assert "Record pose 2 (right)." in sentences
-    assert "Record pose 3 (below)." in sentences
-    assert "Move to pose right again." in sentences
-
-
-def test_a_finished_run_is_only_sealed(job):
-    assert "Only its seal is missing".lower() in intentions(job, History(ended="finished"), None)[0].lower()

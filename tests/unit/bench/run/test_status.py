@@ -6,10 +6,8 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from locking_process import locking, suspend
 from rehearsed import Scene, with_runner
 
-from bench.base.errors import RunFolderError
 from bench.base.progress import Reply
 from bench.commands.status import follow
 from bench.measure.measure import Measurement, StoredImage
@@ -17,11 +15,9 @@ from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Commanded, Event
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
-from bench.run.control import Command, inbox_of, send
 from bench.run.heartbeat import CONTROL
-from bench.run.last_view import LAST_VIEW, leave_view, read_last_view
+from bench.run.last_view import leave_view, read_last_view
 from bench.run.status import read_status, status_text
-from calib.model.cause import Cause
 from calib.target import StarTarget
 from calib.view import View
 
@@ -76,12 +72,6 @@ def test_a_running_run_shows_state_pose_and_time_left(run, planned):
     assert json.loads(json.dumps(status.to_dict(), allow_nan=False))["schema"] == "starbench/status/1"
 
 
-def test_steps_that_are_done_take_no_more_time(run, planned):
-    run.tell(Event.STEP_DONE, step=4)
-    done = next(s["done_after_s"] for s in planned["steps"] if s["number"] == 4)
-    assert run.status().left_s == pytest.approx(planned["duration_s"] - done, abs=0.1)
-
-
 def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
     run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
     status = run.status(after_s=1000.0)
@@ -102,20 +92,6 @@ def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
 def test_while_a_run_waits_its_time_left_does_not_pass(run, planned, event, data):
     run.tell(event, **data)
     assert run.status(after_s=1000.0).left_s == pytest.approx(planned["duration_s"], abs=0.1)
-
-
-def test_a_result_is_shown_with_the_factor_of_its_uncertainty(run):
-    assert run.status().result == ""
-    values, sigma = {"fx": 3345.81, "fy": 3346.2, "r": 255.0}, {"fx": 1.94, "fy": 2.0, "r": 0.1}
-    solved = {"model": "radial", "converged": True, "rms_px": 0.1, "values": values, "sigma": sigma}
-    run.tell(Event.SOLVED, **solved, coverage_factor=2.42)
-    assert "\nResult: fx 3345.8 ± 4.7 px, fy 3346.2 ± 4.8 px (k = 2.42)\n" in status_text(run.status())
-    run.tell(Event.SOLVED, **solved, coverage_factor=2.42, coverage_factors={"fx": 3.0})
-    assert run.status().result == "fx 3345.8 ± 5.8 px, fy 3346.2 ± 4.8 px (k = 3, 2.42)"
-    run.tell(Event.SOLVED, **solved)  # of an earlier version
-    assert run.status().result.endswith("(k = 2)")
-    run.tell(Event.SOLVED, **{**solved, "converged": False})
-    assert run.status().result == ""
 
 
 def test_a_sealed_run_whose_journal_was_emptied_is_not_called_interrupted_or_finished(run):
@@ -160,12 +136,6 @@ def test_a_run_that_has_ended_says_how_each_device_was_left_and_how_late_the_com
     assert "Computer busy" not in text
 
 
-def test_a_run_that_never_began_claims_nothing_of_the_devices(run):
-    run.die()
-    assert [device["state"] for device in run.status().devices] == ["never opened"] * 3
-    assert "CHECK" not in status_text(run.status())
-
-
 def test_the_last_lines_are_shown_as_text(run):
     run.tell(Event.ENTERING, state="checking", pose=1)
     run.tell(Event.LEFT_OFF, state="checking")
@@ -182,16 +152,6 @@ def test_the_last_lines_are_shown_as_text(run):
         "deviation: Pose 1 was skipped: so.",
     ]
     assert run.status().deviations == ("Pose 1 was skipped: so.",)
-
-
-@pytest.mark.parametrize(
-    ("how", "why", "last_line"), [("finished", "", "finished"), ("failed", "the lamp", "failed: as above")]
-)
-def test_the_end_is_shown_once(run, how, why, last_line):
-    run.tell(Event.ENTERING, state="reporting", pose=None)
-    run.tell(Event.ENTERING, state=how, pose=None)
-    run.tell(Event.RUN_ENDED, how=how, why=why)
-    assert [line[14:] for line in run.status().last[-2:]] == ["reporting", last_line]
 
 
 def test_the_reason_of_a_failure_is_told_once_and_its_page_is_named(run):
@@ -215,17 +175,6 @@ def test_following_shows_each_change_and_ends_with_the_run(run):
 
     shown = [now for now, _ in follow(run.path, sleep)]
     assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
-
-
-def test_a_folder_without_a_run_is_refused(tmp_path):
-    with pytest.raises(RunFolderError, match="not a run folder"):
-        read_status(tmp_path)
-
-
-def test_a_plan_of_another_program_is_refused(run):
-    (run.path / "plan.json").write_text("[]")
-    with pytest.raises(RunFolderError, match=r"plan\.json cannot be read"):
-        run.status()
 
 
 # ---------------------------------------------------------------- the picture of the last recording
@@ -252,39 +201,6 @@ def test_a_picture_is_left_and_read_again(tmp_path):
     leave_view(tmp_path, 2, 2, _measurement("no stars"), StarTarget())
     left = read_last_view(tmp_path)
     assert (left.attempt, left.nodes, left.fault) == (2, [], "no stars")
-
-
-def test_it_is_no_command_and_stays_in_the_inbox(tmp_path):
-    (tmp_path / CONTROL).mkdir()
-    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
-    inbox_of(tmp_path).drain(lambda *_: pytest.fail("the picture was taken for a command"))
-    assert (tmp_path / CONTROL / LAST_VIEW).exists()
-
-
-def test_without_an_inbox_or_an_image_nothing_is_left(tmp_path):
-    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
-    (tmp_path / CONTROL).mkdir()
-    leave_view(tmp_path, 1, 1, Measurement(None, None), StarTarget())
-    assert read_last_view(tmp_path) is None
-    assert not list((tmp_path / CONTROL).iterdir())
-
-
-def test_a_full_disk_does_not_disturb_the_run(tmp_path, monkeypatch):
-    (tmp_path / CONTROL).mkdir()
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("pathlib.Path.write_bytes", full)
-    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
-    assert read_last_view(tmp_path) is None
-
-
-@pytest.mark.parametrize("text", [b"", b"{}\n", b"[1]\n", b'{"pose": 1', b"\xff\xfe\n"])
-def test_a_damaged_file_is_no_picture(tmp_path, text):
-    (tmp_path / CONTROL).mkdir()
-    (tmp_path / CONTROL / LAST_VIEW).write_bytes(text)
-    assert read_last_view(tmp_path) is None
 
 
 # ---------------------------------------------------------------- an accepted command is done
@@ -325,33 +241,3 @@ def test_a_pose_skipped_during_its_last_attempt_is_skipped_and_does_not_end_the_
     played.hook = hook
     assert played.run().how == "finished"
     assert [d["pose"] for d in played.data_of(Event.POSE_SKIPPED)] == [1]
-
-
-def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):
-    cause = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
-    numbers = {"values": {"fx": 3300.0, "fy": 3300.0}, "sigma": {"fx": 1.0, "fy": 1.0}}
-    run.tell(Event.SOLVED, model="m", converged=True, rms_px=0.1, **numbers, causes=[cause])
-    verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
-    run.tell(Event.WRITTEN, head="", files={}, wire={}, verdict=verdict)
-    run.tell(Event.RUN_ENDED, how="finished", why="")
-    lines = status_text(run.status()).splitlines()
-    at = lines.index("Calibrated, with reservations.")
-    assert lines[at + 1].startswith("This computer stood still for 60 s")
-    assert lines[at + 2].startswith("Result: fx 3300")
-    run.die()
-
-
-def test_a_run_whose_process_is_suspended_is_told_as_such_and_how_it_continues(run):
-    run.tell(Event.ENTERING, state="recording", pose=2)
-    run.die()
-    inbox_of(run.path).folder.mkdir()
-    with locking(run.path) as process:
-        assert run.status().advice.endswith("abort")
-        assert run.status().left_s is not None
-        suspend(process)
-        status = run.status()
-        assert status.left_s is None
-        with pytest.raises(RunFolderError, match=f"kill -CONT {process.pid}"):
-            send(run.path, Command(word="abort", by="somebody"), patience_s=0.01)
-    assert f"HELD by the suspended process {process.pid}" in status_text(status)
-    assert f"kill -CONT {process.pid}" in status.advice

@@ -1,8 +1,6 @@
 """The reticle of a station: its areas, its files, and what it is good for."""
 
-import json
 import os
-import string
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from matplotlib.path import Path as Outline
 
 from bench.base.errors import UsageError
-from bench.commands.cli import cli
 from bench.stations.reticle_files import WRITERS, drawing_file
 from bench.stations.station import load_station
 from bench.stations.station_fields import TargetConfig
 from bench.stations.target_files import optics_of, use_of
-from bench.stations.target_shapes import draw_target, scale_bar_mm, text_rectangles
+from bench.stations.target_shapes import draw_target, scale_bar_mm
 
 SMALL = {"squares": (16, 18), "pitch_mm": 3.0, "tag_square": (6, 7), "serial": "a-7"}
 
@@ -52,13 +48,6 @@ def test_what_is_filled_is_what_is_opaque_on_the_print(polarity, family, segment
     assert 0.002 < marks[~in_pattern].mean() < 0.1
 
 
-def test_a_mirrored_drawing_has_left_and_right_changed():
-    plain = draw_target(TargetConfig(**SMALL))
-    mirrored = draw_target(TargetConfig(**SMALL, drawing={"mirrored": True}))
-    places = np.random.default_rng(3).uniform(-20, 20, (500, 2))
-    assert np.array_equal(covered(plain.polygons, places), covered(mirrored.polygons, places * [-1, 1]))
-
-
 def test_scale_bars_are_round_and_as_long_as_they_say():
     target = TargetConfig(**SMALL)
     assert scale_bar_mm(target) == 20.0
@@ -68,15 +57,6 @@ def test_scale_bars_are_round_and_as_long_as_they_say():
     assert scale_bar_mm(TargetConfig(**SMALL, drawing={"scale_bar_mm": 7.5})) == 7.5
     without = draw_target(TargetConfig(**SMALL, drawing={"scale_bar_mm": 0}))
     assert len(without.polygons) < len(draw_target(target).polygons)
-
-
-def test_letters_fill_their_height_and_no_two_are_alike():
-    letters = string.ascii_uppercase + string.digits + "m/-_.#"
-    shapes = [text_rectangles(f"A{letter}") for letter in letters]
-    assert len({shape.tobytes() for shape in shapes}) == len(letters)
-    for left, top, right, bottom in (shape.T for shape in [*shapes, text_rectangles("20 mm")]):
-        assert (left.min(), top.min(), bottom.max()) == (0, 0, 1)
-        assert (right > left).all()
 
 
 @pytest.mark.parametrize("ending", WRITERS)
@@ -116,33 +96,6 @@ def test_what_cannot_be_drawn_is_refused_with_what_to_do(change, name, message):
         drawing_file(TargetConfig(**(SMALL | change)), Path(name))
 
 
-@pytest.mark.parametrize(("ending", "library"), [(".dxf", "ezdxf"), (".gds", "gdstk")])
-def test_a_missing_library_is_named_with_its_remedy(monkeypatch, ending, library):
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(UsageError, match=rf"{library} is not installed.*pip install 'starbench\[draw\]'"):
-        drawing_file(TargetConfig(**SMALL), Path(f"x{ending}"))
-
-
-def test_the_command_writes_a_new_file_and_never_over_an_old_one(tmp_path):
-    path = tmp_path / "reticle.svg"
-    done = CliRunner().invoke(cli, ["target", "-s", "simulated", "-o", str(path)], standalone_mode=False)
-    assert done.return_value == 0, done.exception
-    assert "36H11-3 50/72 4.01389 mm; 232.806 x 321.111 mm" in done.output
-    text = path.read_text()
-    assert 'width="232.805556mm" height="321.111111mm"' in text
-    again = CliRunner().invoke(cli, ["target", "-s", "simulated", "-o", str(path)], standalone_mode=False)
-    assert isinstance(again.exception, UsageError)
-    assert path.read_text() == text
-
-
-def test_what_the_simulated_target_is_good_for():
-    done = CliRunner().invoke(cli, ["target", "-s", "simulated", "--json"], standalone_mode=False)
-    answer = json.loads(done.output)
-    assert answer["pitch_px"] == pytest.approx(3300 * 144.5 / 36 / 255)
-    assert answer["stars_in_view"] == 274
-    assert answer["warnings"] == []
-
-
 @pytest.mark.parametrize(
     ("change", "focal_px", "warning_text"),
     [
@@ -164,9 +117,3 @@ def test_what_speaks_against_a_target_is_said(change, focal_px, warning_text):
     optics = optics_of(load_station("simulated").value)
     use = use_of(TargetConfig(**change), replace(optics, focal_px=focal_px))
     assert any(warning_text in warning for warning in use.warnings), use.warnings
-
-
-def test_a_station_must_state_the_lens():
-    station = load_station("simulated").value
-    with pytest.raises(UsageError, match="Add the section `expected`"):
-        optics_of(station.model_copy(update={"expected": None}))
