@@ -18,6 +18,7 @@ from bench.stations.practice import draft_stand_ins
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
 from bench.stations.station_draft import draft_station, ports_to_ask
 from drivers.camera import FoundCamera
+from drivers.errors import ReplyTimeout
 
 CHOICES = {
     option.name: option.type.choices for option in station_new.params if hasattr(option.type, "choices")
