@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from statistics import median
 from typing import Any, TypeVar
 
-from bench.base.errors import BenchError, ScriptError
+from bench.base.errors import ScriptError
 from bench.batch.batch_record import (
     Bounds,
     Item,
@@ -23,71 +22,19 @@ from bench.batch.batch_record import (
 )
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.plan.url_secrets import find_url_secrets
-from bench.record.events import Event
-from bench.record.ledger_marks import LedgerRun
-from bench.record.run_folder import PLAN
-from bench.record.storage import read_json
-from bench.record.stored_run import StoredRun
+from bench.record.pace import Pace, pace_of
 from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Queue
 from sequences.reader import Located, read_document
 
 Document = TypeVar("Document", Queue, JobFile)
-_MOST_RUNS = 10  # Of a station: the newest, as the computer is today
-_MOST_READ = 50  # Of the list of runs: each is a folder to be read
-TOLD_FROM = 2.0
-"""A forecast that is longer than the plan by this factor says why."""
-_NOT_THE_PACE = frozenset({Event.RUN_RESUMED, Event.DEVIATION, Event.ASKED})
-"""Events of a run whose duration says nothing about the computer."""
+_TOLD_FROM = 2.0
+"""A forecast that is longer than the plans by this factor says why."""
+_WHY_SLOW = (
+    "The times below include this: the computer is slower than planned, or other programs keep it busy."
+)
 WORKER_S = 2.5
 """Time to start a run's process and to seal its folder, s; measured on the simulated bench."""
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How many times as long as planned the last runs took, and how many runs these were."""
-
-    factor: float = 1.0
-    runs: int = 0
-    station: str = ""  # Empty for all stations together
-
-    def text(self) -> str:
-        """Return why a forecast is longer than the plan; empty below `TOLD_FROM`."""
-        if self.factor < TOLD_FROM:
-            return ""
-        place = f"On station {self.station}" if self.station else "On this computer"
-        runs = "the last run" if self.runs == 1 else f"the last {self.runs} runs"
-        return (
-            f"{place}, {runs} took {self.factor:.1f} times as long as planned "
-            "(median). The times below include this: the computer is slower than the plan assumes, or other programs "
-            "keep it busy."
-        )
-
-
-def paces(runs: Sequence[LedgerRun]) -> dict[str, Pace]:
-    """Return each station's pace, and under an empty name that of all, from the newest runs without a stop."""
-    ratios_of_station: dict[str, list[float]] = {}
-    for run in reversed(runs[-_MOST_READ:]):
-        if run.how == "finished" and (ratio := _ratio(Path(run.folder))) is not None:
-            for station in (ratio[0], ""):
-                ratios_of_station.setdefault(station, []).append(ratio[1])
-    return {
-        station: Pace(max(1.0, median(ratios[:_MOST_RUNS])), len(ratios[:_MOST_RUNS]), station)
-        for station, ratios in ratios_of_station.items()
-    }
-
-
-def _ratio(folder: Path) -> tuple[str, float] | None:
-    """Return the station of a run, and its duration over the planned one; None if it was stopped or cannot be read."""
-    try:
-        entries = StoredRun(folder).entries
-        planned_s = float(read_json(folder / PLAN)["duration_s"])
-        begun, ended = (datetime.fromisoformat(entries[place].utc) for place in (0, -1))
-        if planned_s <= 0.0 or {entry.event for entry in entries} & _NOT_THE_PACE:
-            return None
-        return str(entries[0].data["station"]), (ended - begun).total_seconds() / planned_s
-    except (BenchError, LookupError, TypeError, ValueError):
-        return None
 
 
 def read_queue(path: Path) -> Located[Queue]:
@@ -188,8 +135,9 @@ class BatchPlan:
     def slow(self) -> list[str]:
         """Why the forecast is longer than the plans, for each station where it is."""
         stations = {plan.station.value.name for plan in self.plans.values()}
-        texts = (_pace(self.paces, name).text() for name in sorted(stations))
-        return list(dict.fromkeys(filter(None, texts)))
+        known = (pace_of(self.paces, name) for name in sorted(stations))
+        texts = (f"{pace.text()} {_WHY_SLOW}" for pace in known if pace.factor >= _TOLD_FROM)
+        return list(dict.fromkeys(texts))
 
     @property
     def end(self) -> datetime:
@@ -227,11 +175,6 @@ class BatchPlan:
         }
 
 
-def _pace(paces: Mapping[str, Pace], station: str) -> Pace:
-    """Return the pace of a station; that of all stations together if it has none of its own."""
-    return paces.get(station) or paces.get("", Pace())
-
-
 def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
     """Predict when each run begins and ends; ``paces`` are what earlier runs took over their plans, by station."""
     bounds = bounds_of(queue, begun)
@@ -240,7 +183,7 @@ def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None =
     known = paces or {}
 
     def duration_s(item: Item) -> float:
-        return planned_duration_s(item.job) * _pace(known, plan_of(item.job).station.value.name).factor
+        return planned_duration_s(item.job) * pace_of(known, plan_of(item.job).station.value.name).factor
 
     slots = look_ahead(items, 0.0, bounds, duration_s)
     return BatchPlan(queue, begun, bounds, tuple(slots), plans, known)

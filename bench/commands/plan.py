@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,18 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.encoding import size_text
-from bench.base.errors import BenchError, UsageError
+from bench.base.errors import UsageError
 from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, command, settings_of
 from bench.commands.output import JSON, show
 from bench.commands.values import WholeNumber
-from bench.wording.numbers import angle_text
+from bench.wording.numbers import angle_text, duration
 from calib.model.result_parts import WORST_CORNER
 from sequences.kinds import QUEUE, kind_of_file
 
 if TYPE_CHECKING:
     from bench.batch.batch_plan import BatchPlan
     from bench.plan.plan import Plan
-    from bench.record.ledger_marks import LedgerRun
     from bench.solve.expectations import PlanForecast
     from calib.model.result_parts import BudgetRow
     from calib.studies.planning import Forecast, WeighedPose
@@ -33,6 +31,7 @@ _MOST_TERMS = 5  # Rows of the budget that are printed, the largest
 _SMALLEST_SHARE = 0.005
 """Terms with a smaller share of the variance are not printed."""
 _SHOWN = ("fx", "cx", "cy", "r")
+_PACE_TOLD_FROM = 1.1  # Below, earlier runs took as long as a plan can say
 _MOST_LINES = 80  # Two screens; of a longer table begin and end are shown
 
 
@@ -118,9 +117,13 @@ def _plan_dict(
 def _plan_lines(
     planned: Plan, plan_forecast: PlanForecast | None, suggested: Sequence[WeighedPose]
 ) -> Iterator[str]:
+    from bench.record.pace import pace_on
     from bench.wording.plan_text import render_plan
 
     yield render_plan(planned)
+    pace = pace_on(planned.station.value.name)
+    if pace.factor > _PACE_TOLD_FROM:
+        yield f"{pace.text()} That makes about {duration(pace.factor * planned.duration_s)}."
     yield from _missing_software(planned)
     if plan_forecast is not None:
         yield ""
@@ -210,17 +213,12 @@ def _why(pose: WeighedPose) -> str:
 
 def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
-    from bench.batch.batch_plan import paces, plan_batch, read_queue
-    from bench.record.ledger import bench_ledger
+    from bench.batch.batch_plan import plan_batch, read_queue
+    from bench.record.pace import earlier_runs, paces
     from bench.solve.expectations import expected_uncertainty
 
     read = read_queue(queue)
-    known: list[LedgerRun] = []
-    with suppress(
-        BenchError
-    ):  # a ledger that is broken is told by the commands that read it for its own sake
-        known = bench_ledger().runs()
-    night = plan_batch(read.value, begin_utc(read.value, begin), paces(known))
+    night = plan_batch(read.value, begin_utc(read.value, begin), paces(earlier_runs()))
     forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
     expected = {
         name: dict(forecast.forecast.sigma) if forecast and forecast.forecast else None
@@ -247,7 +245,6 @@ def begin_utc(queue: Queue, begin: datetime | None) -> datetime:
 
 def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> Iterator[str]:
     from bench.batch.batch_record import NEVER_S
-    from bench.wording.numbers import duration
 
     zone = night.queue.tzinfo
 
@@ -284,8 +281,6 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
 
 def _job_lines(name: str, planned: Plan, forecast: PlanForecast | None) -> Iterator[str]:
     """Yield what a run of a job takes and reaches; with an ``until``, the most that it takes, and how it will end."""
-    from bench.wording.numbers import duration
-
     most = "at most " if planned.untils else ""
     takes, size = f"{most}{duration(planned.duration_s)}", f"{most}{size_text(planned.size_bytes)}"
     expected = _expected_text(forecast.forecast) if forecast and forecast.forecast else "unknown"

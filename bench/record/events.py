@@ -129,6 +129,9 @@ class RunStarted(TypedDict):
     plugins: NotRequired[Mapping[str, Sequence[str]]]
     ledger: NotRequired[LedgerPlace]
     rehearsal: NotRequired[bool]
+    pace: NotRequired[
+        float
+    ]  # Of the bench's earlier runs (`bench.record.pace`); left out if they took no longer
 
 
 class RunResumed(TypedDict):

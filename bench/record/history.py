@@ -54,6 +54,7 @@ class Attempt:
     attempt: int  # Number of the attempt at this pose, from 1
     stored: CaptureStored
     checked: AttemptChecked | None = None  # Journal line about its measurement; None before it was measured
+    stored_utc: str = ""  # Time of the line that it was stored, ISO 8601
 
     @property
     def accepted(self) -> bool:
@@ -315,8 +316,8 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
         case Event.ATTEMPT_CHECKED:
             history.check(int(data["pose"]), int(data["attempt"]), entry.of(AttemptChecked))
         case Event.CAPTURE_STORED:
-            stored = entry.of(CaptureStored)
-            history.add(Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), stored))
+            pose, name, attempt = int(data["pose"]), str(data["pose_name"]), int(data["attempt"])
+            history.add(Attempt(pose, name, attempt, entry.of(CaptureStored), stored_utc=entry.utc))
 
 
 def count_crash(history: History, crash: object) -> None:

@@ -29,6 +29,7 @@ from bench.record.events import Event
 from bench.record.history import History, replay
 from bench.record.journal import Journal
 from bench.record.journal_line import Entry
+from bench.record.pace import pace_on
 from bench.record.recovery import WIRE_LOG
 from bench.record.run_folder import (
     PLAN,
@@ -129,6 +130,7 @@ def start_run(
     plan = job.plan
     ledger = ledger_of(launch.clock)
     refuse_broken_ledger(ledger, job)
+    pace = pace_on(plan.station.value.name).factor
     key = _key(launch)
     _compile_loops_for(job)
     folder_path = output or default_folder(plan, launch.clock.utc_now())
@@ -156,6 +158,7 @@ def start_run(
                 software=run_software(job.station),
                 begun_with=_begun_with(sequence, station, settings or {}),
                 **plugins_of_run(job.station),
+                **({"pace": round(pace, 2)} if pace > 1.0 else {}),
                 ledger=place,
             )
             for what in departures(job, given):

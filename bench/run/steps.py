@@ -6,6 +6,7 @@ At a safe point a run stops, holds or skips poses, as the operator asked. Every 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from typing import Unpack
 
 from bench.base.encoding import counted
@@ -19,6 +20,7 @@ from bench.record.journal import capture_name
 from bench.run.machine import RunMachine, Trigger
 from bench.run.run_context import RunContext
 from bench.run.steps_to_do import steps_of_pose, steps_to_repeat
+from bench.wording.numbers import duration
 from drivers.errors import RecordingFailed
 from sequences.script import (
     ChooseStep,
@@ -259,8 +261,9 @@ def seen_before(history: History, pose_index: int) -> str:
     angles = ", ".join(f"{axis} {angle:g}" for axis, angle in good.stored["commanded_deg"].items())
     width_px = good.measured.get("edge_width_px")
     edges = "" if width_px is None else f", with edges {width_px:.2f} px wide"
-    stars = counted(good.checked["stars"], "star")
-    return f" Earlier in this run, pose {good.pose_index} (at {angles} degrees) showed {stars}{edges}."
+    pose, stars = f"pose {good.pose_index} (at {angles} degrees)", counted(good.checked["stars"], "star")
+    now, then = (datetime.fromisoformat(attempt.stored_utc) for attempt in (here[-1], good))
+    return f" {duration((now - then).total_seconds())} before, {pose} showed {stars}{edges}."
 
 
 def _joined(reasons: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""The time left of a run, from its plan and the pace of the steps so far."""
+"""The time left of a run, from its plan and the pace of the steps so far, at first of the bench's earlier runs."""
 
 from __future__ import annotations
 
@@ -37,12 +37,15 @@ class TimeLeft:
         self._counted_s = self._took_s = 0.0
         self._counted = 0
         self._mark_utc = ""
+        self._pace_before = 1.0  # Of earlier runs of the bench
 
     def apply(self, entry: Entry, history: History) -> None:
         """Follow one line of the journal."""
         if entry.event in _MARKS:
             self._mark_utc = entry.utc
-        if entry.event == Event.STEP_DONE:
+        if entry.event == Event.RUN_STARTED:
+            self._pace_before = float(entry.data.get("pace", 1.0))
+        elif entry.event == Event.STEP_DONE:
             step = int(entry.data["step"])
             self._begin(step)
             planned_s = self._planned_s.get(step, 0.0)
@@ -90,10 +93,10 @@ class TimeLeft:
 
     @property
     def pace(self) -> float:
-        """What the steps so far took, divided by what was planned for them; 1 at the begin."""
-        if self._counted < _LEAST_STEPS or self._counted_s <= 0:
-            return 1.0
-        return min(max(self._took_s / self._counted_s, _SMALLEST), _LARGEST)
+        """What the steps so far took, divided by what was planned for them; that of earlier runs at the begin."""
+        known = self._counted >= _LEAST_STEPS and self._counted_s > 0
+        pace = self._took_s / self._counted_s if known else self._pace_before
+        return min(max(pace, _SMALLEST), _LARGEST)
 
     def next_of(self, numbers: Sequence[int], done: set[int]) -> int | None:
         """Return the first of some steps, in order, that is still to come; None if none is."""

@@ -57,10 +57,10 @@ class MadeRun:
         with self.path.open("ab") as stream:
             stream.write(self.line(event, **data))
 
-    def begin(self) -> MadeRun:
-        """Write what a run writes before its first pose."""
+    def begin(self, **more: Any) -> MadeRun:
+        """Write what a run writes before its first pose, its first line with ``more``."""
         with self.path.open("ab") as stream:
-            stream.writelines(self._first_lines())
+            stream.writelines(self._first_lines(more))
         return self
 
     def record(self, pose: int, *, attempt: int = 1, accepted: bool = True, stars: int = 200) -> None:
@@ -82,10 +82,10 @@ class MadeRun:
         self.write("run_ended", how=how, why=why, **more)
         return self
 
-    def _first_lines(self) -> Iterator[bytes]:
+    def _first_lines(self, more: dict[str, Any]) -> Iterator[bytes]:
         yield self.line(
             "run_started", id=self.folder.name, sequence="Made up", station="Bench", sha256={}, seed=1, operator="Ada",
-            simulated=True, software={},
+            simulated=True, software={}, **more,
         )  # fmt: skip
         yield self.line("entering", state="preflight", **{"from": "idle"})
         camera = {"maker": "M", "model": "EVK4", "serial": "42", "width": 640, "height": 360}

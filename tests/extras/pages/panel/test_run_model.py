@@ -170,3 +170,12 @@ def test_the_time_left_is_scaled_by_what_the_steps_took(tmp_path):
         left_s - 0.3 + 0.7, abs=0.01
     )
     assert model.time_left.left_s(last + timedelta(seconds=1), held=True) == pytest.approx(left_s, abs=0.01)
+
+
+def test_before_the_first_steps_the_pace_is_that_of_earlier_runs_of_the_bench(tmp_path):
+    run = MadeRun(tmp_path / "run", 10).begin(pace=2.5)
+    begun = datetime.fromisoformat(_read(run).log[0]["utc"])
+    assert _read(run).time_left.left_s(begun, held=True) == 2.5 * 12.0
+    for pose in (1, 2, 3, 4):
+        run.record(pose)
+    assert _read(run).time_left.pace == pytest.approx(0.6)

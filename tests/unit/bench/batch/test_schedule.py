@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.batch.batch_plan import Pace, paces, plan_batch, planned_duration_s
+from bench.batch.batch_plan import plan_batch, planned_duration_s
 from bench.batch.batch_record import (
     Bounds,
     Item,
@@ -21,6 +21,7 @@ from bench.batch.batch_record import (
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.record.ledger_marks import LedgerRun
+from bench.record.pace import Pace, pace_on, paces
 from sequences.queue import JobConfig, Queue
 
 EVENING = datetime(2026, 3, 1, 18, 0, tzinfo=UTC)
@@ -169,6 +170,14 @@ def test_the_pace_is_the_median_of_runs_that_nothing_stopped(tmp_path):
         "Quick": Pace(1.0, 1, "Quick"),
         "": Pace(2.45, 4),
     }
+
+
+def test_one_run_is_expected_to_take_as_long_as_the_latest_runs_of_its_station_else_of_the_bench(
+    tmp_path, monkeypatch
+):
+    runs = [ran(tmp_path / "a", 250.0), ran(tmp_path / "b", 50.0, station="Quick")]
+    monkeypatch.setattr("bench.record.pace.earlier_runs", lambda: runs)
+    assert [pace_on(name).factor for name in ("Simulated bench", "Quick", "New")] == [2.5, 1.0, 1.5]
 
 
 @pytest.mark.parametrize("station", ["Simulated bench", ""])

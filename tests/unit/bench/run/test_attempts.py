@@ -1,12 +1,15 @@
 """What a run does when a pose keeps failing its gates: attempts kept, then skipped, held or failed, as written; and one that an operator skips."""
 
+from datetime import UTC, datetime, timedelta
+
 from quick_runs import END, THREE, write_sequence
 from rehearsed import TWO, Scene, with_runner
 
 from bench.record.events import Event
-from bench.record.history import replay
+from bench.record.history import Attempt, History, replay
 from bench.record.journal import read_journal
 from bench.run.control import Command
+from bench.run.steps import seen_before
 from bench.solve.results_content import pose_data
 
 
@@ -74,3 +77,22 @@ def test_a_skipped_pose_is_left_out_and_the_results_say_who_asked(tmp_path, monk
     assert [pose["index"] for pose in results["poses"]] == [1, 3]
     (deviation,) = results["deviations"]
     assert deviation.endswith("was skipped: ada asked for it.")
+
+
+def measured(pose, stars, **facts):
+    """A recording at a pan angle of ten degrees a pose, one every 125 s, accepted if it shows stars."""
+    checked = {"accepted": stars > 0, "stars": stars, "reasons": [], "measured": facts}
+    utc = (datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=125 * pose)).isoformat()
+    return Attempt(pose, f"p{pose}", 1, {"commanded_deg": {"pan": 10.0 * pose}}, checked, utc)
+
+
+def test_a_pose_without_stars_is_told_what_this_run_saw_before():
+    history = History()
+    history.add(measured(1, 203, edge_width_px=0.618))
+    history.add(measured(2, 0))
+    before = seen_before(history, 2)
+    assert all(fact in before for fact in ("pose 1", "pan 10", "203 stars", "0.62 px", "2 min 5 s before"))
+    assert seen_before(history, 1) == ""  # it shows stars
+    alone = History()
+    alone.add(measured(1, 0))
+    assert seen_before(alone, 1) == ""
