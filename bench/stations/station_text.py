@@ -5,8 +5,9 @@ A run folder keeps a copy of each description, which a run that is resumed or de
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
@@ -34,27 +35,13 @@ from sequences.errors import DocumentFaults
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Axis
 from sequences.strict_model import Form, Within
-from sequences.tree import Fault
+from sequences.tree import DocumentPath, Fault
 
 SHIPPED_DESCRIPTIONS: Final = Path(__file__).parent / "descriptions"
 PROTOCOL_COPIES: Final = {"stage": "protocol-stage.yaml", "light": "protocol-light.yaml"}
 """Byte-exact copies of the descriptions in a run folder, by section."""
 
-_BaudRate = Annotated[
-    Annotated[int, Within(50, 20_000_000, "Bd")] | None,
-    Field(description="Default: that of the description."),
-]
-_Serial = Annotated[
-    Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
-]
-_Protocol = Annotated[
-    str,
-    Field(
-        min_length=1,
-        max_length=1000,
-        description="Name of a shipped description, or path of a file, relative to the station file.",
-    ),
-]
+D = TypeVar("D", bound=Described)
 
 
 def read_stage_protocol(path: Path) -> Located[StageProtocol]:
@@ -97,69 +84,102 @@ class TextAxisConfig(AxisConfig):
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
-class TextStageConfig(SerialLine, AnyStage):
-    """One to three rotary axes on a controller whose text protocol a file describes."""
+class _DescribedSection(SerialLine, Generic[D]):
+    """What the sections of a stage and of a light share whose text protocol a file describes."""
 
-    driver: Literal["text"]
-    axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), differing("address")]
-    protocol: _Protocol
+    protocol: Annotated[
+        str,
+        Field(
+            min_length=1,
+            max_length=1000,
+            description="Name of a shipped description, or path of a file, relative to the station file.",
+        ),
+    ]
     port: Port
-    baudrate: _BaudRate = None
-    serial: _Serial = None
-    _read: tuple[StageProtocol, bytes] | None = PrivateAttr(default=None)
+    baudrate: Annotated[
+        Annotated[int, Within(50, 20_000_000, "Bd")] | None,
+        Field(description="Default: that of the description."),
+    ] = None
+    serial: Annotated[
+        Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
+    ] = None
+    _kind: ClassVar[type[Any]]
+    _read: Located[D] | None = PrivateAttr(default=None)
 
     @property
-    def described(self) -> StageProtocol:
+    def description(self) -> Located[D]:
         """The description; read from the working directory's point of view unless `use_descriptions` has read it."""
         if self._read is None:
-            description = read_stage_protocol(find_description(self.protocol, None))
-            self._read = description.value, description.text
-        return self._read[0]
+            self.use(find_description(self.protocol, None))
+        assert self._read is not None
+        return self._read
+
+    @property
+    def described(self) -> D:
+        """What the description says."""
+        return self.description.value
 
     @property
     def device_names(self) -> tuple[str, ...]:
         """Maker and serial number."""
         return (f"{self.described.maker} {self.serial}",) if self.serial else ()
 
+    def use(self, path: Path) -> None:
+        """Read the description from a file."""
+        self._read = read_document(path, self._kind)
+
+    def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
+        """Yield key and message of each fault of this section against its description."""
+        if self.serial and self.described.serial is None:
+            yield ("serial",), "the description has no query for a serial number."
+
+
+class TextStageConfig(_DescribedSection[StageProtocol], AnyStage):
+    """One to three rotary axes on a controller whose text protocol a file describes."""
+
+    driver: Literal["text"]
+    axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), differing("address")]
+    _kind = StageProtocol
+
+    def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
+        """See `_DescribedSection.misfits`."""
+        protocol = self.described
+        if len(self.axes) > 1 and not protocol.has_addresses:
+            yield ("axes",), "this device has one axis: its moves name no {address}."
+        for axis, config in self.axes.items():
+            if protocol.has_addresses and not config.address:
+                yield ("axes", axis), "address is missing; the description uses {address}."
+            for key in protocol.untold(config.address):
+                yield ("axes", axis), f"the reply of {key} has no value of the axis {config.address!r}."
+        yield from super().misfits()
+
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
         """See `AnyStage.open_device`."""
-        axes = driver_axes(TextAxis, self.axes, port)
         return TextStage.open(
             port(self.port),
-            axes,
+            driver_axes(TextAxis, self.axes, port),
             self.described.for_driver(),
             serial=self.serial or "",
             **self.line(clock, wire_log),
         )
 
 
-class TextLightConfig(SerialLine, AnyLight):
+class TextLightConfig(_DescribedSection[LightProtocol], AnyLight):
     """A light whose text protocol a file describes."""
 
     driver: Literal["text"]
     frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
     sync_output: bool = True
-    protocol: _Protocol
-    port: Port
-    baudrate: _BaudRate = None
-    serial: _Serial = None
     full_percent: Annotated[
         float, Within(0.01, 1000, "%"), Field(description="Level of the light at level 100 %.")
     ] = 100.0
-    _read: tuple[LightProtocol, bytes] | None = PrivateAttr(default=None)
+    _kind = LightProtocol
 
-    @property
-    def described(self) -> LightProtocol:
-        """The description; see `TextStageConfig.described`."""
-        if self._read is None:
-            description = read_light_protocol(find_description(self.protocol, None))
-            self._read = description.value, description.text
-        return self._read[0]
-
-    @property
-    def device_names(self) -> tuple[str, ...]:
-        """Maker and serial number."""
-        return (f"{self.described.maker} {self.serial}",) if self.serial else ()
+    def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
+        """See `_DescribedSection.misfits`."""
+        if self.sync_output and not self.described.has_sync:
+            yield (), "this light has no sync output; write sync_output: false."
+        yield from super().misfits()
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Light:
         """See `AnyLight.open_device`."""
@@ -175,25 +195,23 @@ class TextLightConfig(SerialLine, AnyLight):
 def use_descriptions(station: Located[Any]) -> None:
     """Read the descriptions that a station file names, and check that they fit its sections."""
     faults: list[Fault] = []
-    for name in PROTOCOL_COPIES:
-        section = getattr(station.value, name)
-        if isinstance(section, TextStageConfig | TextLightConfig):
-            try:
-                faults += _use(station, name, section)
-            except DocumentFaults as error:
-                faults += error.faults
+    for name, section in _described_sections(station.value):
+        try:
+            faults += _use(station, name, section)
+        except DocumentFaults as error:
+            faults += error.faults
     if faults:
         raise DocumentFaults(faults, station.tree)
 
 
 def description_documents(station: Any) -> dict[str, bytes]:
     """Return bytes by file name of the descriptions that a run folder keeps."""
-    documents = {}
-    for name, copy in PROTOCOL_COPIES.items():
-        section = getattr(station, name)
-        if isinstance(section, TextStageConfig | TextLightConfig) and section.described and section._read:  # noqa: SLF001 - same module
-            documents[copy] = section._read[1]  # noqa: SLF001 - same module
-    return documents
+    return {PROTOCOL_COPIES[name]: section.description.text for name, section in _described_sections(station)}
+
+
+def _described_sections(station: Any) -> list[tuple[str, TextStageConfig | TextLightConfig]]:
+    sections = [(name, getattr(station, name)) for name in PROTOCOL_COPIES]
+    return [(name, part) for name, part in sections if isinstance(part, TextStageConfig | TextLightConfig)]
 
 
 def _use(station: Located[Any], name: str, section: TextStageConfig | TextLightConfig) -> list[Fault]:
@@ -204,34 +222,8 @@ def _use(station: Located[Any], name: str, section: TextStageConfig | TextLightC
         path = find_description(section.protocol, folder)
         if not path.is_file():
             return [station.fault((name, "protocol"), f"there is no file {path}.")]
-    faults = []
-    if isinstance(section, TextStageConfig):
-        stage = read_stage_protocol(path)
-        section._read = stage.value, stage.text  # noqa: SLF001 - same module
-        if len(section.axes) > 1 and not stage.value.has_addresses:
-            faults.append(
-                station.fault((name, "axes"), "this device has one axis: its moves name no {address}.")
-            )
-        for axis, config in section.axes.items():
-            if stage.value.has_addresses and not config.address:
-                faults.append(
-                    station.fault((name, "axes", axis), "address is missing; the description uses {address}.")
-                )
-            faults += [
-                station.fault(
-                    (name, "axes", axis), f"the reply of {key} has no value of the axis {config.address!r}."
-                )
-                for key in stage.value.untold(config.address or "")
-            ]
-    else:
-        light = read_light_protocol(path)
-        section._read = light.value, light.text  # noqa: SLF001 - same module
-        if section.sync_output and not light.value.has_sync:
-            faults.append(station.fault((name,), "this light has no sync output; write sync_output: false."))
-    described: Described = section.described
-    if section.serial and described.serial is None:
-        faults.append(station.fault((name, "serial"), "the description has no query for a serial number."))
-    return faults
+    section.use(path)
+    return [station.fault((name, *place), what) for place, what in section.misfits()]
 
 
 def _copy_in_run_folder(station: Located[Any], name: str) -> Path | None:
