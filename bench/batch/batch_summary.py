@@ -52,8 +52,6 @@ RUNS = "runs"
 SUMMARY, PAGE = "summary.json", "summary.html"
 SCHEMA = "starbench/batch/1"
 
-_K = 2.0  # of a change per hour
-
 
 def read_batch(folder: Path) -> BatchRecord:
     """Read the state of a batch from its folder; changes nothing and disturbs no process."""

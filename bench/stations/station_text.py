@@ -103,7 +103,7 @@ class _DescribedSection(SerialLine, Generic[D]):
     serial: Annotated[
         Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
     ] = None
-    _kind: ClassVar[type[Any]]
+    _reads: ClassVar[staticmethod[[Path], Located[Any]]]
     _read: Located[D] | None = PrivateAttr(default=None)
 
     @property
@@ -126,7 +126,7 @@ class _DescribedSection(SerialLine, Generic[D]):
 
     def use(self, path: Path) -> None:
         """Read the description from a file."""
-        self._read = read_document(path, self._kind)
+        self._read = self._reads(path)
 
     def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
         """Yield key and message of each fault of this section against its description."""
@@ -139,7 +139,7 @@ class TextStageConfig(_DescribedSection[StageProtocol], AnyStage):
 
     driver: Literal["text"]
     axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), differing("address")]
-    _kind = StageProtocol
+    _reads = staticmethod(read_stage_protocol)
 
     def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
         """See `_DescribedSection.misfits`."""
@@ -173,7 +173,7 @@ class TextLightConfig(_DescribedSection[LightProtocol], AnyLight):
     full_percent: Annotated[
         float, Within(0.01, 1000, "%"), Field(description="Level of the light at level 100 %.")
     ] = 100.0
-    _kind = LightProtocol
+    _reads = staticmethod(read_light_protocol)
 
     def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
         """See `_DescribedSection.misfits`."""
