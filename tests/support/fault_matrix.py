@@ -231,19 +231,17 @@ HEAD = """\
 
 <!-- Made by a program: python tests/support/fault_matrix.py > docs/faults.md -->
 
-Each row is a fault. Each column names the states of the run in which the fault leads to this end. In a state that is not
-named, the fault cannot occur, because the run does not use the device in it.
+Each column names the states of the run in which the fault leads to this end. In other states it cannot occur.
 
 | end | meaning |
 | --- | --- |
 | fails safely | the run reported the fault, the light was off, and nothing moved |
-| finishes | every pose was recorded, although the fault had occurred; the run reported the fault |
-| aborts safely | the run ended on request; a fault while it aborts does not keep it from ending safely |
+| finishes | every pose was recorded, and the run reported the fault |
+| aborts safely | the run ended on request, although the fault occurred |
 | ends at once | the process was killed |
 
-If a run did not finish, the cause was removed and the run was resumed. The run then ended with each pose recorded once,
-and every recording named in the journal was on the disk, byte for byte. The code of a run works on virtual devices and a
-virtual clock here. Other tests check with the simulated devices that the drivers report these faults.
+Each run that did not finish was resumed, and ended with each pose recorded once and every recording of the journal on the disk. Measured with
+virtual devices on a virtual clock.
 
 A motor that is blocked, a pulled cable or an open lamp is in the journal after 0.0 to 3.3 s, and in a message soon after; a silent
 device takes 3.2 to 14.1 s, because it is asked several times ([measured](measured/faults.md#from-a-fault-to-a-message)). A process that
