@@ -214,11 +214,11 @@ def _why(pose: WeighedPose) -> str:
 def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
     from bench.batch.batch_plan import plan_batch, read_queue
-    from bench.record.pace import earlier_runs, paces
+    from bench.record.pace import paces, runs_of_bench
     from bench.solve.expectations import expected_uncertainty
 
     read = read_queue(queue)
-    night = plan_batch(read.value, begin_utc(read.value, begin), paces(earlier_runs()))
+    night = plan_batch(read.value, begin_utc(read.value, begin), paces(runs_of_bench()))
     forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
     expected = {
         name: dict(forecast.forecast.sigma) if forecast and forecast.forecast else None

@@ -72,7 +72,7 @@ def pace_of(paces: Mapping[str, Pace], station: str) -> Pace:
     return paces.get(station) or paces.get("", Pace())
 
 
-def earlier_runs() -> list[LedgerRun]:
+def runs_of_bench() -> list[LedgerRun]:
     """Return the runs of this bench; none if its ledger is broken, which other commands tell."""
     with suppress(BenchError):
         return bench_ledger().runs()
@@ -81,4 +81,4 @@ def earlier_runs() -> list[LedgerRun]:
 
 def pace_on(station: str) -> Pace:
     """Return the pace of this bench's latest runs, for one run on a station."""
-    return pace_of(paces(earlier_runs()[-_MOST_RUNS:]), station)
+    return pace_of(paces(runs_of_bench()[-_MOST_RUNS:]), station)

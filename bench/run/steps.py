@@ -17,9 +17,11 @@ from bench.record import events
 from bench.record.events import Circumstances
 from bench.record.history import History
 from bench.record.journal import capture_name
+from bench.record.ledger import bench_ledger
 from bench.run.machine import RunMachine, Trigger
 from bench.run.run_context import RunContext
 from bench.run.steps_to_do import steps_of_pose, steps_to_repeat
+from bench.solve.earlier_runs import last_results
 from bench.wording.numbers import duration
 from drivers.errors import RecordingFailed
 from sequences.script import (
@@ -169,6 +171,7 @@ class Steps:
             pose = step.pose
             what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {_joined(reasons)}."
             what += seen_before(self._run.log.history, pose.index)
+            self._say_last_run(pose.name)
             if step.on_failure == "fail":
                 raise PoseFailed(
                     what,
@@ -186,6 +189,17 @@ class Steps:
                 "hold", PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
             )
             reasons = ()
+
+    def _say_last_run(self, pose_name: str) -> None:
+        """Tell what the last such run saw at a pose. The journal does not: results rest on their run alone."""
+        last = last_results(bench_ledger(), self._run.log.history)
+        if last is None:
+            return
+        for pose in last["poses"]:
+            if pose["name"] == pose_name and pose["stars"]:
+                run, ended = last["run"]["id"], last["run"].get("finished_utc", "")[:16]
+                stars = counted(pose["stars"], "star")
+                self._run.say(f"Run {run}, which ended at {ended} UTC, saw {stars} at {pose_name}.")
 
     def _last_capture(self, pose_index: int) -> str:
         """Return the file of the last recording at a pose; empty if none was stored."""

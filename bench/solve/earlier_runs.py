@@ -8,6 +8,7 @@ from pathlib import Path
 
 from bench.base.errors import BenchError
 from bench.evidence.seal import read_manifest
+from bench.record.history import History
 from bench.record.ledger import Ledger
 from bench.record.ledger_marks import LedgerRun
 from bench.record.results import Results
@@ -40,12 +41,13 @@ def earlier_runs(ledger: Ledger, place: Mapping[str, object]) -> list[LedgerRun]
     return same[::-1][:_MOST_READ]
 
 
-def last_results(ledger: Ledger, place: Mapping[str, object], sequence: str, station: str) -> Results | None:
-    """Return the results of the last run of a sequence on a bench before a place of the ledger; None without any.
+def last_results(ledger: Ledger, history: History) -> Results | None:
+    """Return the results of the last run, before a run, of its sequence with its camera on its bench; None without any.
 
     An earlier run that cannot be read is passed over: without it, less is known of the bench.
     """
-    return next(_results_of(ledger, place, (sequence, station)), None)
+    same = str(history.started["sequence"]), str(history.started["station"])
+    return next(_results_of(ledger, history.ledger, same), None)
 
 
 def _results_of(ledger: Ledger, place: Mapping[str, object], same: tuple[str, str]) -> Iterator[Results]:

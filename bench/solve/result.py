@@ -101,14 +101,9 @@ class ResultWriter:
         self._solution = solve_run(self._job, self._folder.path, step, history, measured, check)
         solved = main_numbers(self._solution.calibration)
         causes = causes_of_run(
-            self._job, history, self._solution.calibration, partial(self._last_results, history)
+            self._job, history, self._solution.calibration, partial(last_results, bench_ledger(), history)
         )
         return {**solved, "causes": [as_data(cause, CauseData) for cause in causes]}
-
-    def _last_results(self, history: History) -> Results | None:
-        """Return the results of the last run of this sequence with this camera on this bench; None without any."""
-        started = history.started
-        return last_results(bench_ledger(), history.ledger, str(started["sequence"]), str(started["station"]))
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
         """Write results.json, views.h5, exports and the report; a real bench has no ``truth``."""

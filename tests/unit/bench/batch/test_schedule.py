@@ -176,7 +176,7 @@ def test_one_run_is_expected_to_take_as_long_as_the_latest_runs_of_its_station_e
     tmp_path, monkeypatch
 ):
     runs = [ran(tmp_path / "a", 250.0), ran(tmp_path / "b", 50.0, station="Quick")]
-    monkeypatch.setattr("bench.record.pace.earlier_runs", lambda: runs)
+    monkeypatch.setattr("bench.record.pace.runs_of_bench", lambda: runs)
     assert [pace_on(name).factor for name in ("Simulated bench", "Quick", "New")] == [2.5, 1.0, 1.5]
 
 

@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 from quick_runs import END, THREE, write_sequence
 from rehearsed import TWO, Scene, with_runner
 
+from bench.base.progress import Progress
 from bench.record.events import Event
 from bench.record.history import Attempt, History, replay
 from bench.record.journal import read_journal
@@ -96,3 +97,17 @@ def test_a_pose_without_stars_is_told_what_this_run_saw_before():
     alone = History()
     alone.add(measured(1, 0))
     assert seen_before(alone, 1) == ""
+
+
+def test_what_the_last_run_saw_at_a_failing_pose_is_told_and_not_journaled(tmp_path, monkeypatch):
+    last = {
+        "run": {"id": "run-7", "finished_utc": "2026-01-01T12:00:00"},
+        "poses": [{"name": "doomed", "stars": 203}],
+    }
+    monkeypatch.setattr("bench.run.steps.last_results", lambda *_: last)
+    said = []
+    monkeypatch.setattr(Progress, "say", lambda _, text: said.append(text))
+    scene = doomed(tmp_path, "skip")
+    assert scene.run().how == "finished"
+    assert [text for text in said if "run-7" in text and "203 stars" in text]
+    assert "run-7" not in (scene.folder / "journal.jsonl").read_text()
