@@ -99,17 +99,22 @@ coverage: $(VENV)/installed-dev ## how often the stated uncertainty covers the t
 
 lock: $(VENV)/made ## write down the newest versions within the ranges of pyproject.toml, with their hashes
 	$(PIP) 'uv>=0.13'
-	for set in "requirements" "requirements-dev --extra dev" "requirements-docs --extra docs --constraint requirements-dev.lock"; do set -- $$set; \
+	for set in "requirements" "requirements-all $(EXTRAS:%=--extra %) --constraint requirements.lock" "requirements-dev --extra dev" "requirements-docs --extra docs --constraint requirements-dev.lock"; do set -- $$set; \
 		$(BIN)/uv pip compile pyproject.toml $${@:2} -o $$1.lock --quiet --upgrade --universal --python-version 3.11 --generate-hashes \
 			--no-emit-index-url --no-annotate --custom-compile-command "make lock" || exit 1; done
 
-# The same commit gives the same bytes anywhere: times in the archives are those of the commit.
+EXTRAS := evk4 visa apprise formats table cluster draw certificate
+
+# The same commit gives the same bytes anywhere: times in the archives are those of the commit. The list of parts is that of
+# an environment of its own, with all extras, as licences stand in installed packages.
 release: export SOURCE_DATE_EPOCH = $(shell git log -1 --format=%ct)
 release: $(VENV)/made ## wheel, source and list of parts (SBOM) in dist/, with SHA256SUMS; KEY=file signs it
 	@test -z "$$(git status --porcelain)" || { echo "There are changes that are not committed. Commit them first: a release is made of a commit."; exit 1; }
 	@$(PIP) 'build>=1.2' 'hatchling>=1.25' 'cyclonedx-bom>=7'
 	rm -rf dist && umask 022 && $(BIN)/python -m build --no-isolation --outdir dist . >/dev/null
-	$(BIN)/cyclonedx-py requirements requirements.lock --pyproject pyproject.toml --output-reproducible -o dist/starbench.cdx.json 2>/dev/null
+	rm -rf build/parts && $(PYTHON) -m venv --without-pip build/parts
+	$(PIP) --python build/parts/bin/python --require-hashes -r requirements-all.lock
+	$(BIN)/cyclonedx-py environment build/parts/bin/python --pyproject pyproject.toml --output-reproducible -o dist/starbench.cdx.json 2>/dev/null
 	cd dist && sha256sum *.whl *.tar.gz *.json > SHA256SUMS && cat SHA256SUMS
 	@if test -n "$(KEY)"; then ssh-keygen -Y sign -f "$(KEY)" -n starbench-release@v1 dist/SHA256SUMS; \
 	else echo "Not signed. To sign: make release KEY=~/.config/starbench/bench_key"; fi

@@ -1,8 +1,8 @@
-"""SIGKILL at random instants of a run, a seal, a certificate and a batch: what is lost, and does the same command go on?
+"""SIGKILL at random instants of a run, its resuming, a seal, a certificate and a batch: what is lost, and does it go on?
 
-    python tests/benchmarks/bench_kills.py [--kills 20] [--batch 10] [--write]
+    python tests/benchmarks/bench_kills.py [--kills 12] [--batch 12] [--write]
 
-Run, seal and certificate work in a child, with virtual devices on a virtual clock; a batch is the command itself on
+All but a batch work in a child, with virtual devices on a virtual clock; a batch is the command itself on
 simulated benches, whose supervisor is killed, and the time is taken until its worker has ended too.
 """
 
@@ -38,8 +38,8 @@ ALONE_S = 60.0
 """After this, a worker without its supervisor is taken as left behind."""
 
 
-def done_or_killed(work: Callable[[], object], after_s: float) -> bool:
-    """Do the work in a child, killed so long after its begin; return whether it was killed before its end."""
+def done_or_killed(work: Callable[[], object], until: Callable[[], object]) -> bool:
+    """Do the work in a child, killed when ``until`` returns; return whether it was killed before its end."""
     child = os.fork()
     if child == 0:
         code = 1
@@ -50,7 +50,7 @@ def done_or_killed(work: Callable[[], object], after_s: float) -> bool:
             traceback.print_exc()
         finally:
             os._exit(code)
-    time.sleep(after_s)
+    until()
     os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
     if os.WIFEXITED(status) and os.WEXITSTATUS(status):
@@ -75,6 +75,23 @@ class ARun:
         assert self.bench.stored()[: len(stored)] == stored, "a stored recording is lost"
         assert {fault.kind for fault in self.bench.faults()} <= {"results", "journal"}, self.bench.faults()
         assert self.bench.breaks() == []
+
+
+class AResume(ARun):
+    """A run that was killed at its first recording, and goes on."""
+
+    name = "resume"
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        assert done_or_killed(self.bench.begin, self._stored)
+
+    def _stored(self) -> None:
+        while not self.bench.stored():
+            time.sleep(0.005)
+
+    def work(self) -> object:
+        return self.bench.resume()
 
 
 class ASeal(ARun):
@@ -123,7 +140,8 @@ def kills_of(kind: type[ARun | ACertificate], kills: int, folder: Path, chance: 
     while killed < kills:
         tries += 1
         trial = kind(folder / f"{kind.name}-{tries}")
-        if not done_or_killed(trial.work, chance.uniform(0.0, takes_s)):
+        after_s = chance.uniform(0.0, takes_s)
+        if not done_or_killed(trial.work, lambda after_s=after_s: time.sleep(after_s)):
             continue
         killed += 1
         try:
@@ -198,13 +216,13 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
 def main() -> None:
     """Print the table."""
     parser = measured.options(__doc__)
-    parser.add_argument("--kills", type=int, default=20, help="kills of run, seal and certificate each")
-    parser.add_argument("--batch", type=int, default=10, help="kills of a batch")
+    parser.add_argument("--kills", type=int, default=12, help="kills of run, resume, seal and certificate each")
+    parser.add_argument("--batch", type=int, default=12, help="kills of a batch")
     given = parser.parse_args()
     chance = random.Random(1)
     print("| killed | times | gone on, nothing lost | not | worker alone |\n| --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as folder:
-        for kind in (ARun, ASeal, ACertificate):
+        for kind in (ARun, AResume, ASeal, ACertificate):
             print(kills_of(kind, given.kills, Path(folder), chance), flush=True)
         print(batch(given.batch, Path(folder), chance))
 

@@ -5,17 +5,23 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
+FOR_DEVELOPERS = {"dev", "docs", "crosscheck"}
 LOCKED = re.compile(r"^([A-Za-z0-9._-]+)(?:\[[^]]*\])?==(\S+)", re.MULTILINE)
 
 
+def _project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
 def _wanted(extras: list[str]) -> list[Requirement]:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    project = _project()
     named = [
         *project["dependencies"],
         *(text for extra in extras for text in project["optional-dependencies"][extra]),
@@ -25,7 +31,12 @@ def _wanted(extras: list[str]) -> list[Requirement]:
 
 @pytest.mark.parametrize(
     ("lock", "extras"),
-    [("requirements.lock", []), ("requirements-dev.lock", ["dev"]), ("requirements-docs.lock", ["docs"])],
+    [
+        ("requirements.lock", []),
+        ("requirements-all.lock", sorted(_project()["optional-dependencies"].keys() - FOR_DEVELOPERS)),
+        ("requirements-dev.lock", ["dev"]),
+        ("requirements-docs.lock", ["docs"]),
+    ],
 )
 def test_the_lock_has_a_version_of_every_dependency_within_its_range(lock, extras):
     versions: dict[str, list[str]] = {}
@@ -45,7 +56,7 @@ def test_the_lock_has_a_version_of_every_dependency_within_its_range(lock, extra
     assert outside == set(), "run: make lock"
 
 
-@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-dev.lock"])
+@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-all.lock", "requirements-dev.lock"])
 def test_every_locked_file_is_known_by_its_hash_and_none_by_an_address(lock):
     text = (ROOT / lock).read_text()
     packages = re.split(r"^(?=[a-zA-Z0-9])", text, flags=re.MULTILINE)[1:]
