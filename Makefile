@@ -113,7 +113,7 @@ release: $(VENV)/made ## wheel, source and list of parts (SBOM) in dist/, with S
 	@$(PIP) 'build>=1.2' 'hatchling>=1.25' 'cyclonedx-bom>=7'
 	rm -rf dist && umask 022 && $(BIN)/python -m build --no-isolation --outdir dist . >/dev/null
 	rm -rf build/parts && $(PYTHON) -m venv --without-pip build/parts
-	$(PIP) --python build/parts/bin/python --require-hashes -r requirements-all.lock
+	$(BIN)/python -m pip --python build/parts/bin/python install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements-all.lock
 	$(BIN)/cyclonedx-py environment build/parts/bin/python --pyproject pyproject.toml --output-reproducible -o dist/starbench.cdx.json 2>/dev/null
 	cd dist && sha256sum *.whl *.tar.gz *.json > SHA256SUMS && cat SHA256SUMS
 	@if test -n "$(KEY)"; then ssh-keygen -Y sign -f "$(KEY)" -n starbench-release@v1 dist/SHA256SUMS; \

@@ -131,12 +131,14 @@ def declared_lines(path: tuple[str, ...]) -> Sequence[tuple[str, Sequence[tuple[
 
 def _lines(file: str) -> Sequence[tuple[str, str, str]]:
     try:
-        with open(file, encoding="utf-8") as opened:  # noqa: PTH123 - as above
+        with open(file, "rb") as opened:  # noqa: PTH123 - as above
             text = opened.read()
-    except (OSError, UnicodeDecodeError):
+    except OSError:
+        return ()
+    if b"starbench." not in text:
         return ()
     group, lines = "", []
-    for line in map(str.strip, text.splitlines()):
+    for line in map(str.strip, text.decode("utf-8", errors="replace").splitlines()):
         if line.startswith("["):
             group = line.strip("[]")
         elif group.startswith("starbench.") and "=" in line and not line.startswith(("#", ";")):

@@ -7,7 +7,6 @@ such a function fails (documentation of numba, ``NUMBA_CACHE_DIR``). So users wh
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import suppress
 from pathlib import Path
@@ -25,6 +24,8 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
     """
     if environ.get(VARIABLE) or _may_write(beside) or _may_write(_user_cache(environ)):
         return
+    import tempfile
+
     folder = Path(tempfile.gettempdir()) / f"starbench-kernels-{_user_name()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     status = folder.lstat()
