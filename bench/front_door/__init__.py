@@ -15,7 +15,6 @@ Everything else is in `calib`: ``from calib import calibrate, CalibrationOptions
 from __future__ import annotations
 
 import importlib
-import json
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +77,8 @@ def main() -> None:
         run_command_line()
     except ForeignPackageError as error:
         if "--json" in sys.argv:
+            import json
+
             shown = {"kind": type(error).__name__, "message": str(error), "remedy": error.remedy}
             sys.stdout.write(json.dumps({"error": shown}, indent=1) + "\n")
         sys.stderr.write(f"starbench: {error}\n")
