@@ -88,7 +88,7 @@ table1: $(VENV)/installed-dev ## methods compared where the truth is known: abou
 	$(BIN)/python tests/benchmarks/bench_image_counts.py --jobs 2 --pictures docs/pictures --write
 
 pictures: $(VENV)/installed-dev ## make the pictures of README and documents again, from the present version; needs Chromium
-	$(BIN)/python -m tests.support.document_pictures
+	$(BIN)/python -m tests.extras.support.document_pictures
 
 docs: $(VENV)/installed-docs ## the documents as a site, in build/site; open build/site/index.html
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/site

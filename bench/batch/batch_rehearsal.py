@@ -1,6 +1,6 @@
 """A batch in a rehearsal: all is as in a real one but what `bench.batch.rehearsal` lists.
 
-It is written in memory if possible, then copied: no sync is needed.
+It is written in memory if possible, then copied.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.clock import VirtualClock
-from bench.base.errors import BenchError, UsageError
+from bench.base.errors import BenchError
 from bench.base.memory_folder import temporary_parent
 from bench.batch.batch import Batch
 from bench.batch.batch_plan import WORKER_S
 from bench.batch.batch_record import Item
 from bench.batch.supervisor import WorkerEnd
-from bench.record.storage import make_folder, storage_errors
+from bench.record.storage import new_output
 from bench.record.summaries import BatchSummary
 from sequences.queue import Queue
 from sequences.reader import Located
@@ -36,24 +36,16 @@ def rehearse_batch(
     say: Callable[[str], None],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> BatchSummary:
-    """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in an empty folder.
+    """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in a new folder.
 
     The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte.
     ``progress`` is told how many runs of all have been rehearsed.
     """
-    make_folder(folder)
-    with storage_errors(folder):
-        if any(folder.iterdir()):
-            raise UsageError(
-                "The folder is not empty, and a rehearsal cannot be continued.",
-                where=str(folder),
-                remedy="Choose another --output.",
-            )
     parent = temporary_parent(_ROOM_BYTES)
-    with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=parent) as place:
+    temporary = tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=parent)
+    with new_output(folder) as part, temporary as place:
         summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say, progress)
-        with storage_errors(folder):
-            shutil.copytree(place, folder, dirs_exist_ok=True)
+        shutil.copytree(place, part)
     return summary
 
 

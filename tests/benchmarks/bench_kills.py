@@ -217,7 +217,9 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
 def main() -> None:
     """Print the table."""
     parser = measured.options(__doc__)
-    parser.add_argument("--kills", type=int, default=12, help="kills of run, resume, seal and certificate each")
+    parser.add_argument(
+        "--kills", type=int, default=12, help="kills of run, resume, seal and certificate each"
+    )
     parser.add_argument("--batch", type=int, default=12, help="kills of a batch")
     given = parser.parse_args()
     chance = random.Random(1)

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple, TextIO
 ROOT = Path(__file__).parents[2]
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path += [str(ROOT), str(ROOT / "tests" / "support")]
+sys.path += [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "tests" / "extras" / "support")]
 FOLDER = ROOT / "docs" / "measured"
 ORIGIN = "Measured by `"
 _WRITE = "--write"

@@ -4,6 +4,7 @@ import base64
 import shutil
 import subprocess
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,9 @@ needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
 )
 needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+needs_certificates = pytest.mark.skipif(
+    find_spec("bench.extras") is None, reason="certificates are an extra, which is not here"
+)
 
 KEY_KINDS = {
     "ed25519": ("ed25519",),

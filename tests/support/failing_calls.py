@@ -6,6 +6,7 @@ of a process that has loaded everything and done the work once.
 
 import ctypes
 import errno
+import json
 import os
 import re
 import shutil
@@ -18,13 +19,10 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from bench.base.errors import BenchError
 
-COMMANDS = [
-    *(f"convert {kind}" for kind in ("raw", "metavision", "hdf5", "parquet", "csv", "numpy")),
-    *("target", "station new", "certificate new", "undistort", "passport make", "calibrate", "rig"),
-]
-"""Works of `failing_works` that are command lines."""
 KILLED = 0
 MODES = (errno.ENOSPC, errno.EIO, KILLED)
 TRACEBACK_STATUS = 3
@@ -38,6 +36,23 @@ def build_library(folder):
     library = folder / "failing_disk.so"
     subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", library, _SOURCE, "-ldl"], check=True)
     return library
+
+
+def try_in_process(program, folder, steps):
+    """Let calls of works fail, in a process of a program that has the library; return how many did, and its end."""
+    library = build_library(folder)
+    if library is None:
+        pytest.skip("needs Linux and a C compiler")
+    here = os.pathsep.join([str(_SOURCE.parent), *sys.path])
+    ended = subprocess.run(
+        [sys.executable, program, folder, json.dumps(steps)],
+        env={**os.environ, "LD_PRELOAD": str(library), "PYTHONPATH": here},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    counts = re.findall(r"(\d+) calls failed or killed", ended.stdout)
+    return sum(map(int, counts)), ended
 
 
 @dataclass(frozen=True)

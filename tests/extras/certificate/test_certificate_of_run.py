@@ -6,7 +6,8 @@ import shutil
 
 import pytest
 from certificate_lab import FIRST
-from certificate_sample import LAB, full_dcc, sample_results, write_sealed_run
+from certificate_sample import LAB, full_dcc
+from sealed_bench import sample_results, write_sealed_run
 
 from bench.base.errors import EvidenceError
 from bench.extras.certificate.amend import amend

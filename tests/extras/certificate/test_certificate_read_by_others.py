@@ -11,10 +11,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from sealed_bench import RESULTS, sample_results
 
 from bench.extras.certificate.pdf import draw_plots, render_pdf
 from bench.measure.view_picture import ViewPicture
-from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
+from tests.extras.support.certificate_sample import full_certificate, small_certificate
 from tests.support.printed_numbers import missing_numbers, missing_texts
 
 pytest.importorskip("typst", reason="typst is not installed (extra certificate)")

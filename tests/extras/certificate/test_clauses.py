@@ -5,7 +5,8 @@ import re
 
 import pytest
 import yaml
-from certificate_sample import LAB, identity, sample_lab, sample_results
+from certificate_sample import LAB, identity, sample_lab
+from sealed_bench import sample_results
 
 from bench.extras.certificate.clauses import faults_of_lab, unanswered
 from bench.extras.certificate.compose import compose

@@ -8,7 +8,8 @@ from unittest import mock
 
 import pytest
 from certificate_lab import FIRST, Lab
-from certificate_sample import LAB, NOW, sample_results, write_sealed_run
+from certificate_sample import LAB
+from sealed_bench import NOW, sample_results, write_sealed_run
 
 from bench.base.errors import EvidenceError, RunFolderError, UsageError
 from bench.evidence.findings import SealFault

@@ -5,8 +5,9 @@ from datetime import UTC, datetime
 from unittest import mock
 
 import pytest
-from certificate_sample import LAB, verified, write_sealed_run
+from certificate_sample import LAB, verified
 from click.testing import CliRunner
+from sealed_bench import write_sealed_run
 
 from bench.base.errors import BenchError, UsageError
 from bench.commands.cli import cli

@@ -6,10 +6,11 @@ import math
 from decimal import Decimal
 
 import pytest
-from certificate_sample import LAB, full_certificate, identity, sample_lab, sample_results, small_certificate
+from certificate_sample import LAB, full_certificate, identity, sample_lab, small_certificate
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
+from sealed_bench import sample_results
 
 from bench.base.errors import EvidenceError
 from bench.extras.certificate.budget_rows import budget_of, expanded, print_result

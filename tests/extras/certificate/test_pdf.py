@@ -7,21 +7,17 @@ import shutil
 import subprocess
 
 import pytest
+from sealed_bench import RESULTS, sample_results
 
 from bench.base.errors import UsageError
 from bench.extras.certificate import pdf
 from bench.extras.certificate.certificate_data import Covariance, Deviation
 from bench.extras.certificate.pdf import render_pdf
-from tests.support.certificate_sample import (
-    RESULTS,
-    full_certificate,
-    sample_results,
-    small_certificate,
-)
+from tests.extras.support.certificate_sample import full_certificate, small_certificate
 from tests.support.printed_numbers import missing_numbers, missing_texts, numbers_of, texts_of
 
 pytest.importorskip("typst", reason="typst is not installed (extra certificate)")
-from tests.support.printed_content import opening_of, sections_of
+from tests.extras.support.printed_content import opening_of, sections_of
 
 ATTACHED = {"dcc.xml": b"<dcc/>\r\n", "results.json": RESULTS.read_bytes()}
 NO_PLOTS = {}

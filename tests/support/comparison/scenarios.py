@@ -110,7 +110,7 @@ def _certificate(side: Side, old: Path) -> None:
     side.write("station.yaml", station(old))
     side.say("run", "sequence.yaml", "-s", "station.yaml", "--seed", SEED, "-o", "run")
     sample: dict[str, str] = {}
-    text = (old / "tests/support/certificate_sample.py").read_text(encoding="utf-8")
+    text = next(old.glob("tests/**/certificate_sample.py")).read_text(encoding="utf-8")
     begin, end = text.index('KEY = "'), text.index('"""A lab.yaml with everything')
     exec(text[begin:end], sample)  # the sample's own lines, without the imports of its program
     changes = (("2026-11-18", "2020-01-07"), ("2025-11-20", "2020-01-07"), ("2026-01-08", "2020-01-07"))

@@ -7,7 +7,8 @@ import time
 
 import httpx
 import pytest
-from align_fakes import FakeDevices, fake_session
+from align_fakes import fake_session
+from fake_devices import FakeDevices
 from waiting import wait_until
 
 from bench.extras.pages.align import serve

@@ -4,7 +4,8 @@ import threading
 import time
 
 import pytest
-from align_fakes import FakeDevices, fake_session
+from align_fakes import fake_session
+from fake_devices import FakeDevices
 from waiting import wait_until
 
 from bench.base.errors import ControlRefused

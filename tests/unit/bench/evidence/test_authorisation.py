@@ -8,7 +8,7 @@ import subprocess
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from authorising import make_key, needs_ssh_keygen, person, ssh_verifies
+from authorising import make_key, needs_certificates, needs_ssh_keygen, person, ssh_verifies
 
 from bench.base.errors import EvidenceError, StorageError
 from bench.evidence import beside_seal
@@ -111,6 +111,7 @@ def test_the_bench_cannot_authorise(sealed, key, home, tmp_path, signers):
     assert "bench's own key" in faults(sealed, trust)[0][2]
 
 
+@needs_certificates
 def test_only_the_named_person_authorises_a_certificate(certificate, tmp_path, ada, trust):
     bea, line = person(make_key(tmp_path, "bea"), "bea@lab.example")
     everyone = Trust((*trust.signers, line))

@@ -7,7 +7,7 @@ import subprocess
 from datetime import UTC, datetime
 
 import pytest
-from authorising import needs_openssl, needs_ssh_keygen
+from authorising import needs_certificates, needs_openssl, needs_ssh_keygen
 
 from bench.evidence.authorisation import authorise
 from bench.evidence.beside_seal import add_beside
@@ -22,6 +22,7 @@ pytestmark = [needs_ssh_keygen, needs_openssl]
 
 NOW = datetime.now(UTC)
 MARKERS = {"run": "journal.jsonl", "certificate": "certificate.json", "results": "sources.json"}
+KINDS = ["run", pytest.param("certificate", marks=needs_certificates), "results", "files"]
 
 
 @pytest.fixture
@@ -62,7 +63,7 @@ def run(command, folder, lists, who="ada@lab.example"):
     return done.returncode, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("kind", ["run", "certificate", "results", "files"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_command_succeeds_on_an_authorised_and_stamped_folder(
     tmp_path, key, signers, kind, ada, lists, authority
 ):
@@ -88,6 +89,7 @@ def test_every_command_succeeds_on_an_authorised_and_stamped_folder(
         assert run(commands[0].replace(" -s ", f"{more} -s "), folder, lists)[0] == 0
 
 
+@needs_certificates
 def test_the_commands_find_what_is_wrong(tmp_path, key, signers, ada, lists, authority):
     from bench.evidence.tsa_client import make_request
 
@@ -121,7 +123,7 @@ def test_the_commands_find_what_is_wrong(tmp_path, key, signers, ada, lists, aut
     assert run(seal, folder, lists)[0] == 255
 
 
-@pytest.mark.parametrize("kind", [*MARKERS, "files"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_other_instructions_are_a_fault_in_every_kind_of_folder(tmp_path, key, signers, ada, kind):
     folder = writable(make_folder(tmp_path / kind, key, kind, ada[0]))
     assert ("instructions", "VERIFY.txt") not in kinds(verify_folder(folder, signers))
@@ -133,6 +135,7 @@ def test_other_instructions_are_a_fault_in_every_kind_of_folder(tmp_path, key, s
     assert ("instructions", "VERIFY.txt") in kinds(verify_folder(folder, signers))
 
 
+@needs_certificates
 @pytest.mark.parametrize("name", ["plots/more.svg", "plots/coverage.svg"])
 def test_a_certificate_has_the_plots_that_one_is_drawn_with_and_no_others(tmp_path, key, signers, ada, name):
     folder = writable(make_folder(tmp_path / "certificate", key, "certificate", ada[0]))

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from authorising import needs_certificates
 from click.testing import CliRunner
 
 from bench.base.home import HOME_VARIABLE
@@ -63,7 +64,7 @@ def test_runs_of_this_bench_agree_with_its_ledger(bench, tmp_path):
     assert strangers(bench) == []
 
 
-@pytest.mark.parametrize("seen", ["run", "certificate"])
+@pytest.mark.parametrize("seen", ["run", pytest.param("certificate", marks=needs_certificates)])
 def test_where_ledger_mark_and_index_are_gone_a_sealed_folder_beside_shows_it(
     bench, tmp_path, monkeypatch, seen
 ):

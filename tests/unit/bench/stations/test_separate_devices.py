@@ -3,7 +3,7 @@
 import threading
 
 import pytest
-from align_fakes import FakeCamera, FakeLight, FakeStage
+from fake_devices import FakeCamera, FakeLight, FakeStage
 from waiting import wait_until
 
 from bench.base.clock import BenchClock

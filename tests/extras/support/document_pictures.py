@@ -23,9 +23,9 @@ from bench.extras.pages.align.page_requests import PageFiles
 from bench.extras.pages.align.session import Session
 from bench.extras.pages.panel.panel_app import panel_app
 from bench.stations.station import SHIPPED_STATIONS, load_station
-from tests.support.pages import served
+from tests.extras.support.pages import served
 
-PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
+PICTURES = Path(__file__).parents[3] / "docs" / "pictures"
 FLAGS = [
     "--no-sandbox",
     "--disable-gpu",

@@ -1,30 +1,26 @@
 """A laboratory that issues certificates from a sealed run, for tests and benchmarks."""
 
 import pytest
-from certificate_sample import LAB, NOW, verified, write_sealed_run
+from certificate_sample import LAB, verified
+from sealed_bench import SealedBench
 
 from bench.evidence.keys import ensure_key
 from bench.extras.certificate.amend import amend
 from bench.extras.certificate.issue import Issuer, issue
 from bench.extras.certificate.series import numbers
-from bench.record.ledger import Ledger
 from sequences.errors import DocumentFaults
 
 FIRST = "SIMULATED-SB-2026-00001"
 
 
-class Lab:
-    """A laboratory with one sealed run, whose clock is set by hand."""
+class Lab(SealedBench):
+    """A laboratory with one sealed run."""
 
     def __init__(self, path):
-        self.path, self.now, self.says = path, NOW, {}
-        self.home = path / "home"
-        self.run = write_sealed_run(path / "run", self.home)
+        super().__init__(path)
+        self.says = {}
         self.lab = path / "lab.yaml"
         self.lab.write_text(LAB, encoding="utf-8")
-        self.ledger = Ledger(self.home, utc_now=lambda: self.now, monotonic=lambda: 0.0)
-        place = self.ledger.begin(run_id="run", folder=self.run, camera="00050423", simulated=True)
-        self.ledger.end(place["number"], how="finished", folder=self.run)
 
     def laboratory(self):
         clock, key = (lambda: self.now), (lambda: ensure_key(self.home))

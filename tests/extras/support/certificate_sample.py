@@ -1,14 +1,11 @@
-"""Certificates for tests: a full one with the numbers of a real simulated run, a small one, and a sealed run."""
+"""Certificates for tests: a full one with the numbers of a real simulated run, and a small one."""
 
 import dataclasses
 import functools
-import json
-from datetime import UTC, datetime
-from pathlib import Path
+
+from sealed_bench import RESULTS, sample_results
 
 from bench.evidence.findings import Verification
-from bench.evidence.keys import ensure_key
-from bench.evidence.seal import seal_folder
 from bench.extras.certificate.certificate_data import (
     Amends,
     BeforeAdjustment,
@@ -22,12 +19,8 @@ from bench.extras.certificate.compose import Identity, compose
 from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.lab_config import lab_of
 from bench.extras.certificate.sealed_run import stated_run
-from bench.record.journal import Journal
 
-RESULTS = Path(__file__).with_name("certificate_results.json")
-"""results.json of `make demo`, without the truth and the planar model, as of the day of the sample."""
 ISSUED = "2026-11-21T08:30:00Z"
-NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 KEY = "SHA256:" + "A" * 43
 FAILED = "1 FAIL against Customer drawing 4711, focal length"
 LAB = f"""\
@@ -72,12 +65,6 @@ opinions: ["Opinion: the focus ring should be locked with a screw."]
 authorised_by: {{name: Dr. Grace Hopper, role: Head of laboratory, key: "{KEY}"}}
 """
 """A lab.yaml with everything in it, for the camera of the sample."""
-
-
-@functools.cache
-def sample_results():
-    """The results that the full sample is made of."""
-    return json.loads(RESULTS.read_bytes())
 
 
 def sample_lab(text=LAB):
@@ -143,19 +130,6 @@ def small_dcc() -> bytes:
     small = small_certificate()
     camera = dataclasses.replace(small.item.camera, model="EVK4", firmware="4.2.0")
     return render_dcc(dataclasses.replace(small, item=dataclasses.replace(small.item, camera=camera)))
-
-
-def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=None):
-    """A sealed folder with the journal and the results of a run: what a certificate reads of one."""
-    folder.mkdir(parents=True)
-    with Journal.create(folder / "journal.jsonl", utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
-        journal.append("run_started", id="run", simulated=True, **({"rehearsal": True} if rehearsal else {}))
-        journal.append("run_ended", how=how, why="")
-    (folder / "results.json").write_bytes(
-        RESULTS.read_bytes() if results is None else json.dumps(results).encode()
-    )
-    seal_folder(folder, ensure_key(home, principal="bench@lab"))
-    return folder
 
 
 def verified(folder, **facts):

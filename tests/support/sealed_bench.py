@@ -1,0 +1,46 @@
+"""A bench with a key, a ledger and one sealed run, whose numbers are those of a real simulated run."""
+
+import functools
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.evidence.keys import ensure_key
+from bench.evidence.seal import seal_folder
+from bench.record.journal import Journal
+from bench.record.ledger import Ledger
+
+RESULTS = Path(__file__).with_name("certificate_results.json")
+"""results.json of `make demo`, without the truth and the planar model, as of the day of the sample."""
+NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
+
+
+@functools.cache
+def sample_results():
+    """The results that the full sample is made of."""
+    return json.loads(RESULTS.read_bytes())
+
+
+def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=None):
+    """A sealed folder with the journal and the results of a run: what a certificate reads of one."""
+    folder.mkdir(parents=True)
+    with Journal.create(folder / "journal.jsonl", utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+        journal.append("run_started", id="run", simulated=True, **({"rehearsal": True} if rehearsal else {}))
+        journal.append("run_ended", how=how, why="")
+    (folder / "results.json").write_bytes(
+        RESULTS.read_bytes() if results is None else json.dumps(results).encode()
+    )
+    seal_folder(folder, ensure_key(home, principal="bench@lab"))
+    return folder
+
+
+class SealedBench:
+    """A bench in a folder of its own, whose clock is set by hand."""
+
+    def __init__(self, path):
+        self.path, self.now = path, NOW
+        self.home = path / "home"
+        self.run = write_sealed_run(path / "run", self.home)
+        self.ledger = Ledger(self.home, utc_now=lambda: self.now, monotonic=lambda: 0.0)
+        place = self.ledger.begin(run_id="run", folder=self.run, camera="00050423", simulated=True)
+        self.ledger.end(place["number"], how="finished", folder=self.run)
