@@ -42,8 +42,10 @@ def rehearse_batch(
     ``progress`` is told how many runs of all have been rehearsed.
     """
     parent = temporary_parent(_ROOM_BYTES)
-    temporary = tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=parent)
-    with new_output(folder) as part, temporary as place:
+    with (
+        new_output(folder) as part,
+        tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=parent) as place,
+    ):
         summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say, progress)
         shutil.copytree(place, part)
     return summary
