@@ -334,13 +334,24 @@ class BiasesConfig(StrictModel):
         return self.model_dump(exclude_unset=True)
 
 
-class EventCameraSection(StrictModel):
-    """An event camera section that opens its own driver. A subclass has the key ``driver``, a Literal."""
+class _CameraSection(StrictModel):
+    """What the sections of cameras share."""
 
     if TYPE_CHECKING:
 
         @property
-        def driver(self) -> str: ...  # noqa: D102 - a key
+        def driver(self) -> str: ...
+
+    lens: Text | None = None
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Ports of the camera; most have none."""
+        return ()
+
+
+class EventCameraSection(_CameraSection):
+    """An event camera section that opens its own driver. A subclass has the key ``driver``, a Literal."""
 
     serial: Serial
     biases: BiasesConfig = BiasesConfig()
@@ -350,12 +361,6 @@ class EventCameraSection(StrictModel):
             description="Region of interest: column, row, width, height, px. Only the driver `metavision` sets it."
         ),
     ] = None
-    lens: Text | None = None
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Ports of the camera; a camera on USB has none."""
-        return ()
 
     @abstractmethod
     def open_device(self, port: PortName, *, clock: BenchClock) -> EventCamera:
@@ -378,26 +383,15 @@ class EventCameraSection(StrictModel):
         """
 
 
-class FrameCameraSection(StrictModel):
+class FrameCameraSection(_CameraSection):
     """A frame camera section that opens its own driver. A subclass has the key ``driver``. Its light is steady."""
-
-    if TYPE_CHECKING:
-
-        @property
-        def driver(self) -> str: ...  # noqa: D102 - a key
 
     serial: Annotated[
         str, Field(max_length=64, description="Serial number on USB. If it is empty, any camera is accepted.")
     ] = ""
-    lens: Text | None = None
     pictures: Annotated[
         int, Field(ge=1, le=1000, description="Number of pictures that are averaged at each pose.")
     ] = 8
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Ports of the camera; most have none."""
-        return ()
 
     def settings(self) -> FrameSettings:
         """Return the settings for the driver.

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BeforeValidator, Field, model_validator
 
 from bench.stations.cameras import (
     CameraConfig,
@@ -50,26 +49,11 @@ _TRUTHS = {"true": True, "false": False}
 _NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
-def _absolute(path: str) -> str:
-    """Accept an absolute path only: the station file is copied into every run folder. Raises PydanticCustomError."""
-    if not (PurePosixPath(path).is_absolute() or PureWindowsPath(path).is_absolute()):
-        raise PydanticCustomError(
-            "not_absolute", "must be an absolute path of a file, such as /mnt/office/bench2.heads."
-        )
-    return path
-
-
 class LedgerConfig(StrictModel):
     """What an unexplained break of the bench's ledger does."""
 
     anchor: Annotated[
-        str | None,
-        Field(
-            min_length=2,
-            max_length=4096,
-            description="Not used any more; stations of earlier runs name it.",
-        ),
-        AfterValidator(lambda path: None if path is None else _absolute(path)),
+        str | None, Field(description="Not used any more; stations of earlier runs name it.")
     ] = None
     strict: Annotated[
         bool, Field(description="Whether a break of the ledger that nobody has explained stops a run.")
