@@ -15,6 +15,7 @@ from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 from simulators.lights.lamp import LAMP_FAULTS
 from tests.hil.direct_lights import OPENED, DirectLight, direct_light
 from tests.hil.direct_stages import VirtualClock
+from tests.hil.test_fault_line_fuzz import like
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -110,11 +111,3 @@ def test_what_nobody_asked_for_is_no_answer(rig, text) -> None:
     rig.order(f"say text='{text}\\r\\n'")
     error = tried(rig, lambda: like(rig.light.read(), BRIGHT) or pytest.fail("a wrong setting"))
     assert error is None or isinstance(error, ReplyError)
-
-
-def like(read: LightSettings, asked: LightSettings) -> bool:
-    """Whether settings are those asked for, within what a strobe controller prints."""
-    return (read.waveform, read.sync_output) == (asked.waveform, asked.sync_output) and all(
-        getattr(read, name) == pytest.approx(getattr(asked, name), rel=1e-3, abs=1e-3)
-        for name in ("frequency_hz", "duty_percent", "low_v", "high_v")
-    )

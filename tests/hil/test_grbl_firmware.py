@@ -127,6 +127,15 @@ def test_identity_homing_moves_and_limits(board: NativeBoard, stage: GrblStage):
         stage.move_to({"pan": 16.0})
 
 
+def test_a_stopped_move_keeps_its_position(board: NativeBoard, stage: GrblStage):
+    stage.home()
+    with once_it_moves(board, stage.stop), pytest.raises(MoveFailed, match="stopped on request"):
+        stage.move_to({"pan": -15.0})
+    assert -15.0 < stage.position_deg()["pan"] < 15.0
+    stage.move_to({"pan": 3.0})
+    assert stage.position_deg()["pan"] == pytest.approx(3.0, abs=0.002)
+
+
 def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, stage: GrblStage, heard: Wire):
     """The firmware forgets a reset for half a second after an alarm; a driver that sends it once would fail here."""
     stage.home()
@@ -144,6 +153,18 @@ def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, st
     assert board.angles_below()[:2] == pytest.approx([-13.0, -10.0], abs=0.02)
 
 
+def test_a_mute_board_is_woken_when_it_is_opened(board: NativeBoard, stage: GrblStage):
+    stage.home()
+    with once_it_moves(board, lambda: board.wire("press", "Y")), pytest.raises(MoveFailed):
+        stage.move_to({"pan": -15.0})
+    stage.close()
+    board.wire("release", "Y")
+    again = open_stage(board)
+    assert "board: no reference" in again.faults()
+    again.home()
+    again.close()
+
+
 @pytest.mark.parametrize(
     ("wire", "alarm"),
     [
@@ -158,6 +179,16 @@ def test_a_homing_that_fails_is_named_though_the_board_answers_ok(
     with pytest.raises(MoveFailed, match=re.escape(alarm)):
         stage.home()
     assert "board: no reference" in stage.faults()
+
+
+def test_a_stopped_homing_is_homed_again(board: NativeBoard, stage: GrblStage):
+    stage.home()
+    stage.move_to({"pan": -15.0})
+    with once_it_moves(board, stage.stop), pytest.raises(MoveFailed, match="stopped on request"):
+        stage.home()
+    assert "ALARM:6" in stage.faults()[0]
+    stage.home()
+    assert stage.position_deg() == pytest.approx(HIGHEST_DEG, abs=0.002)
 
 
 def test_a_power_cut_undoes_the_reference(board: NativeBoard, stage: GrblStage):

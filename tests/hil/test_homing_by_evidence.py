@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import time
+from pathlib import Path
+
 import pytest
+from quick_runs import write_sequence, write_station
+from running import called, journal
 
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from tests.hil.test_described_stages_of_users import changed, gsc02, opened, smc100
 from tests.hil.text_wire import LINES, Motor, Wire, described
 
@@ -91,6 +98,15 @@ def test_an_axis_at_its_reference_is_homed_by_an_empty_error_queue(clock) -> Non
         assert stage.is_homed()
 
 
+def test_a_reference_that_comes_is_evidence_without_any_motion(clock) -> None:
+    wire, motor = smc100(clock)
+    motor.move(0.0)
+    clock.sleep(1.0)
+    stage = opened(wire, described("smc100"), ("1", 1.0))
+    stage.home()
+    assert stage.is_homed()
+
+
 def test_a_reference_of_another_program_is_none(clock) -> None:
     """12.000 deg were true for 5: that program had set another zero."""
     wire, motor = smc100(clock)
@@ -119,3 +135,53 @@ def test_a_search_that_ends_beside_the_reference_is_no_homing(clock) -> None:
     with pytest.raises(MoveFailed, match="ended at 400 counts, not at 0"):
         stage.home()
     assert not stage.is_homed()
+
+
+class SystemTime:
+    """The time of this computer, as `Motor` and `Wire` ask for it."""
+
+    @property
+    def now_s(self) -> float:
+        return time.monotonic()
+
+
+class Lines:
+    """What a `Wire` is connected to, for a pseudo-terminal."""
+
+    baud = 9600
+
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+
+    def receive(self, data: bytes) -> bytes:
+        self.wire.write(data)
+        answers, self.wire.ready = self.wire.ready, b""
+        return answers
+
+    def unsolicited(self) -> bytes:
+        return b""
+
+
+@pytest.mark.slow
+def test_a_run_with_a_stage_that_ignores_its_homing_records_no_view(tmp_path: Path, home: Path) -> None:
+    wire, motor = ps10(SystemTime(), ignores="REF1")
+    description = changed(
+        tmp_path, "ps10", '  errors: {send: "?ERR", reply: "{state:integer}", when: [0]}\n', ""
+    )
+    station = write_station(tmp_path / "station.yaml")
+    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), Lines(wire), paced=False) as device:
+        head, rest = station.read_text().split("stage:", 1)
+        rest = rest[rest.index("\nlight:") :]
+        station.write_text(
+            f"{head}stage:\n  driver: text\n  protocol: {description}\n  port: {device.address}\n  axes:\n"
+            f'    pan: {{address: "1", counts_per_deg: {SCALE}, limits_deg: [-15, 15], speed_deg_s: 20,'
+            f" acceleration_deg_s2: 1000}}\n{rest}"
+        )
+        sequence = write_sequence(tmp_path / "sequence.yaml", "[{pan_deg: -6}, {pan_deg: 6}, {pan_deg: 0}]")
+        folder = tmp_path / "run"
+        ended = called("run", sequence, "-s", station, "-o", folder, home=home)
+    assert ended.returncode == 1, ended.stderr
+    assert "nothing shows" in ended.stderr
+    assert not any(line["event"] == "recorded" for line in journal(folder))
+    assert not list((folder / "captures").glob("*"))
+    assert motor.position_deg == TRUE_DEG

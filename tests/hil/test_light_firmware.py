@@ -15,6 +15,7 @@ import pytest
 
 from bench.stations.station_text import find_description, read_light_protocol
 from drivers.clock import SystemClock
+from drivers.errors import DeviceRefused, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.text import TextLight
 from simulators.lights.microcontroller import MicrocontrollerLight
@@ -101,6 +102,16 @@ def test_the_firmware_goes_dark_when_the_computer_is_silent(port) -> None:
     time.sleep(1.6)
     assert port.lamp()[-1] == "output 0 0 0"
     assert light.faults() == ["the controller reports 'watchdog'", "the light was switched on, but is off"]
+
+
+def test_another_serial_number_and_values_out_of_range_are_refused(port) -> None:
+    with pytest.raises(WrongDevice, match="SB0001"):
+        opened(port, serial="SB0002")
+    with pytest.raises(SettingRefused, match="outside"):
+        opened(port).apply(LightSettings(frequency_hz=6000.0))
+    wide = tuple(replace(setting, highest=1e9) for setting in DESCRIPTION.settings)
+    with pytest.raises((SettingRefused, DeviceRefused), match="out of range"):
+        opened(port, description=replace(DESCRIPTION, settings=wide)).apply(LightSettings(frequency_hz=6e3))
 
 
 def framed(text: str) -> bytes:

@@ -75,6 +75,15 @@ def test_a_unit_in_any_mode_stands_until_it_is_homed_and_then_points_right(unit,
     assert stage.faults() == []
 
 
+def test_a_unit_found_moving_in_velocity_control_is_stopped_and_stays(unit) -> None:
+    left_in(unit, b"CV PS400 ", after_s=2.0)
+    unit.reopen()
+    stood_deg = unit.true_deg()
+    assert 2.5 < stood_deg < 6.0
+    unit.line.clock.sleep(20.0)
+    assert unit.true_deg() == pytest.approx(stood_deg, abs=1e-3)
+
+
 @pytest.mark.parametrize("mode", [b"WPQ ", b"WPA ", b"WPF "])
 def test_a_step_mode_that_comes_into_force_by_the_homing_is_no_other_scale(unit, mode) -> None:
     left_in(unit, mode)
@@ -84,6 +93,24 @@ def test_a_step_mode_that_comes_into_force_by_the_homing_is_no_other_scale(unit,
     assert not stage.is_homed()
     with pytest.raises(NotHomed):
         stage.move_to({"pan": 5.0})
+
+
+def test_a_scale_of_another_step_mode_before_the_reset_is_read_and_not_refused(unit) -> None:
+    """A PTU-E46 whose step mode another program has changed: the reset of the homing brings the chosen one back."""
+    left_in(unit, b"WPF RP ", after_s=60.0)
+    left_in(unit, b"WPH ")
+    stage = unit.reopen()
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert unit.true_deg() == pytest.approx(5.0, abs=0.002)
+
+
+def test_a_unit_that_knows_no_scale_before_its_first_reset_is_homed(unit) -> None:
+    unit.controller.controller.before_reset = True
+    stage = unit.reopen()
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert unit.true_deg() == pytest.approx(5.0, abs=0.002)
 
 
 def test_a_unit_in_its_reset_of_power_up_is_waited_for(unit) -> None:
@@ -129,6 +156,28 @@ def test_an_axis_points_right_whatever_another_client_has_set(esp, left, when) -
         assert esp.true_deg() == pytest.approx(angle_deg, abs=0.002)
         assert stage.position_deg()["pan"] == pytest.approx(angle_deg, abs=0.002)
     assert stage.faults() == []
+
+
+@pytest.mark.parametrize("when", ["before opening", "before homing"])
+def test_limits_within_those_of_the_station_may_be_those_of_the_mechanics(esp, when) -> None:
+    esp.line.device.receive(b"1SL0;1SR1\r")
+    with pytest.raises(OutsideLimits, match="0 to 1 deg"):
+        esp.reopen() if when == "before opening" else esp.stage.home()
+
+
+def test_a_command_that_a_controller_does_not_know_is_no_fault(esp) -> None:
+    for name in ("TJ", "SH", "BA", "CO", "OH", "FP"):
+        del esp.controller.settings[name]
+    esp.controller.settings |= {"OH": 20.0}
+    stage = esp.reopen()
+    assert stage.faults() == ["pan: motor off"]
+
+
+def test_a_search_at_a_speed_of_0_is_named_and_not_begun(esp) -> None:
+    esp.controller.settings["OH"] = 0.0
+    with pytest.raises(MoveFailed, match=r"speed .* is 0"):
+        esp.stage.home()
+    assert esp.present_deg() == pytest.approx(2.4, abs=1e-3)
 
 
 def test_another_resolution_is_refused_where_the_station_states_it(esp) -> None:
@@ -187,6 +236,15 @@ def test_a_way_from_the_sensor_that_the_station_does_not_state_is_refused(ximc, 
     assert "home_offset_deg: 3 " in caught.value.remedy
 
 
+@pytest.mark.parametrize("offset_deg", [0.0, -2.0, 1.5])
+def test_the_station_says_how_far_a_zero_is_from_the_sensor(ximc, offset_deg) -> None:
+    leave(ximc, "hom", p4=300)
+    stage = again(ximc, home_offset_deg=offset_deg)
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert ximc.true_deg() == pytest.approx(5.0 + offset_deg, abs=0.002)
+
+
 def test_a_reversed_motor_is_refused_where_the_station_states_it(ximc) -> None:
     again(ximc, reversed=False)
     leave(ximc, "eng", p4=0x11)
@@ -195,11 +253,25 @@ def test_a_reversed_motor_is_refused_where_the_station_states_it(ximc) -> None:
     again(ximc, reversed=True)
 
 
+def test_a_motor_whose_speed_is_limited_is_refused(ximc) -> None:
+    leave(ximc, "eng", p2=500, p3=0, p4=0x90)
+    with pytest.raises(OutsideLimits, match="5 deg/s"):
+        ximc.reopen()
+
+
 def test_other_microsteps_than_at_opening_are_refused(ximc) -> None:
     stage = ximc.reopen()
     leave(ximc, "eng", p6=5)
     with pytest.raises(MoveFailed, match="counts 16 microsteps a step, and 256 when it was opened"):
         stage.home()
+
+
+@pytest.mark.parametrize("fast", [20, 400])
+def test_a_slow_search_of_a_standa_axis_is_no_blockage(ximc, fast) -> None:
+    leave(ximc, "hom", p0=fast, p2=2)
+    stage = ximc.reopen()
+    stage.home()
+    assert stage.is_homed()
 
 
 # ---------------------------------------------------------------- all of them

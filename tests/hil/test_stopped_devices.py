@@ -88,6 +88,23 @@ def test_devices_that_stop_answering_end_the_run_in_time_and_it_is_resumed(tmp_p
 
 
 @pytest.mark.slow
+def test_devices_that_pause_are_waited_for_where_the_station_says_so(tmp_path, bench):
+    world, station, sequence = bench
+    station.write_text(station.read_text() + "\ninterlocks: {device_lost: {retry_s: 1, max_hold_s: 120}}\n")
+    folder, home = tmp_path / "run", tmp_path / "home"
+    process = start("run", sequence, "-s", station, "-o", folder, home=home)
+    wait_for(process, folder, entering("slewing", 2))
+    with stopped(world):
+        wait_for(process, folder, entering("holding"))
+        time.sleep(5)
+    errors = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == 0, errors
+    released = [line for line in journal(folder) if line["event"] == "interlock_released"]
+    assert {line["rule"] for line in released} == {"device_lost"}
+    see_that_it_is_safe(station)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "state"),
     [
@@ -114,6 +131,21 @@ def begin_batch(tmp_path, sequence, station, state, *, attempts):
     wait_for(process, folder / "runs" / "cam-001", entering(state, AT_POSE.get(state)))
     (worker,) = [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
     return process, folder, worker
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("state", ["recording", "slewing", "homing"])
+def test_a_worker_killed_by_force_leaves_devices_that_its_supervisor_makes_safe(tmp_path, bench, state):
+    _, station, sequence = bench
+    process, folder, worker = begin_batch(tmp_path, sequence, station, state, attempts=1)
+    os.kill(worker, signal.SIGKILL)
+    wait_for(process, folder, lambda line: line["event"] == "item_ended")
+    ended = next(line for line in journal(folder) if line["event"] == "item_ended")
+    assert (ended["how"], ended["unsafe"]) == ("died", [])
+    states = [(device["device"], device["state"]) for device in ended["devices"]]
+    assert states == [("stage", "confirmed safe"), ("light", "confirmed safe"), ("camera", "not confirmed")]
+    process.communicate(timeout=PATIENCE_S)
+    see_that_it_is_safe(station)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from waiting import wait_until
 from bench.base.clock import Aborted, BenchClock
 from bench.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supervise
 from bench.run.crash_log import read_crash
+from bench.run.processes import out_of_memory_kills
 from bench.simulated import SimulatedBench
 from bench.stations.devices import open_light
 from bench.stations.orphans import make_orphans_safe
@@ -201,6 +202,12 @@ def test_what_the_system_ended_for_want_of_memory_counts_as_a_crash(tmp_path, mo
     assert read_crash(folder) is None
 
 
+def test_kills_for_want_of_memory_are_counted_where_the_kernel_tells_them(tmp_path):
+    (tmp_path / "vmstat").write_text("pgfault 7\noom_kill 12\nswap_ra 0\n")
+    assert out_of_memory_kills(tmp_path / "vmstat") == 12
+    assert out_of_memory_kills(tmp_path / "none") == 0
+
+
 def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
     with SimulatedBench({}, 1) as world:
         text = PLAIN
@@ -230,6 +237,10 @@ def test_a_device_that_is_gone_does_not_keep_the_other_from_being_made_safe(tmp_
         assert stage.said.startswith("the stage of a dead process could not be made safe")
         assert stage.text.endswith("The stage may be moving.")
         assert light.state == "confirmed safe"
+
+
+def test_simulated_devices_that_ended_with_their_process_are_not_said_to_be_safe():
+    assert make_orphans_safe(load_station("simulated").value, BenchClock()) == []
 
 
 def test_a_worker_that_fails_says_why(tmp_path):

@@ -5,7 +5,7 @@ import struct
 import cv2
 import numpy as np
 import pytest
-from made_pictures import png, tiff
+from hostile_files import png, tiff
 
 from drivers.camera.frames import image_sizes, read_frames, write_frames
 from drivers.errors import DriverError, NotARecording

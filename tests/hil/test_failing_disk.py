@@ -1,0 +1,89 @@
+"""A disk whose writes and syncs fail at random, in a real process: bounded, told in words, safe, and nothing stored is lost."""
+
+import hashlib
+import os
+import subprocess
+
+import pytest
+from failing_calls import build_library
+from quick_runs import THREE_NAMED, write_sequence, write_station
+from running import PATIENCE_S, STARBENCH, environment, journal, starbench
+
+
+@pytest.fixture(scope="module")
+def shim(tmp_path_factory):
+    """The library that lets file operations fail, compiled."""
+    library = build_library(tmp_path_factory.mktemp("shim"))
+    if library is None:
+        pytest.skip("needs Linux and a C compiler")
+    return library
+
+
+@pytest.fixture
+def files(tmp_path):
+    return write_sequence(tmp_path / "sequence.yaml", THREE_NAMED), write_station(tmp_path / "station.yaml")
+
+
+def run_on_failing_disk(shim, tmp_path, files, what, probability, seed):
+    sequence, station = files
+    failing = {
+        "LD_PRELOAD": str(shim),
+        "FAILING_KIND": what,
+        "FAILING_PROBABILITY": str(probability),
+        "FAILING_FOLDER": str(tmp_path / "run"),
+        "FAILING_SEED": str(seed),
+    }
+    return subprocess.run(
+        [*STARBENCH, "run", str(sequence), "-s", str(station), "--seed", "7", "-o", str(tmp_path / "run")],
+        env=environment(tmp_path / "home") | failing,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+
+
+def stored(folder):
+    """Hashes that the journal tells of its recordings."""
+    return {line["capture"]: line["sha256"] for line in journal(folder) if line["event"] == "capture_stored"}
+
+
+def hashes(folder, names):
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("what", "probability"), [("write", 0.004), ("sync", 0.03)])
+def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
+    shim, tmp_path, files, what, probability, seed
+):
+    folder, home = tmp_path / "run", tmp_path / "home"
+    ended = run_on_failing_disk(shim, tmp_path, files, what, probability, seed)
+    assert "Traceback" not in ended.stderr + ended.stdout, ended.stderr
+    assert ended.returncode in {0, 1}, ended.stderr
+    if ended.returncode == 0:  # what failed did not matter
+        assert starbench("verify", folder, home=home).returncode == 0
+        return
+    assert "Input/output error" in ended.stderr
+    assert "CHECK THE BENCH" not in ended.stderr
+    recorded = stored(folder)
+    assert hashes(folder, recorded) == recorded
+    resumed = starbench("resume", folder, home=home)
+    if not journal(folder):  # it failed before its first line
+        assert resumed.returncode == 2  # it is no run folder
+        assert "Traceback" not in resumed.stderr
+        return
+    assert resumed.returncode == 0, ended.stderr + resumed.stderr
+    assert recorded.items() <= stored(folder).items()
+    assert hashes(folder, recorded) == recorded
+    assert starbench("verify", folder, home=home).returncode == 0
+
+
+@pytest.mark.slow
+def test_a_sync_that_fails_is_told_as_the_disks_error(shim, tmp_path, files):
+    ended = run_on_failing_disk(shim, tmp_path, files, "sync", 1.0, 0)
+    assert ended.returncode == 1, os.fspath(shim)
+    assert "Input/output error" in ended.stderr
+    assert "Traceback" not in ended.stderr

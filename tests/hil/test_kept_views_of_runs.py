@@ -1,0 +1,26 @@
+"""The views that a run keeps are those that `calibrate` would find in its recordings."""
+
+import pytest
+from click.testing import CliRunner
+from quick_runs import THREE, write_sequence, write_station
+
+from bench.commands.cli import cli
+from bench.measure.kept_views import FOLDER, KeptViews, pack_view, view_key
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.view_sources import view_sources
+
+pytestmark = pytest.mark.slow
+
+
+def test_views_of_a_run_are_kept_and_equal_to_those_found_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    files = write_sequence(tmp_path / "q.yaml", THREE), write_station(tmp_path / "s.yaml")
+    words = ["run", files[0], "-s", files[1], "--seed", 1, "-o", tmp_path / "run"]
+    assert not CliRunner().invoke(cli, [str(word) for word in words], standalone_mode=False).exception
+    monkeypatch.setattr(
+        "bench.measure.measure.motion_px", None
+    )  # gates of a run need it, a calibration does not
+    kept = KeptViews(tmp_path / "home" / FOLDER)
+    for source in view_sources(tmp_path / "run", OfflineOptions()):
+        key = view_key(source.attempt.stored["sha256"], source.decided_by)
+        assert pack_view(kept.read(key), key) == pack_view(source.read(), key)
