@@ -10,8 +10,10 @@ from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen
 from click.testing import CliRunner
 
 from bench.commands.cli import cli
+from bench.evidence.authorisations import known_authorisations
 from bench.evidence.keys import load_key
 from bench.evidence.seal import seal
+from bench.evidence.states import home_trust, shown_state
 from bench.record.ledger import Ledger
 from tests.unit.bench.commands import test_evidence_commands as of_keys
 from tests.unit.bench.commands.test_evidence_commands import call
@@ -65,6 +67,66 @@ def authorised(run, home, ada, monkeypatch):
     shown = json.loads(call("certificate", "authorise", run, "--key", ada, "--json", "--yes"))
     assert shown["in_ledger"] is True
     return run, ada
+
+
+def with_a_fault(*arguments):
+    """Run a command that finds a fault; return its output."""
+    done = CliRunner().invoke(cli, [str(a) for a in arguments], standalone_mode=False)
+    assert done.return_value == 1, done.output
+    return done.output
+
+
+def removed(run):
+    run.chmod(0o755)
+    (run / "SHA256SUMS.authorised.sig").unlink()
+
+
+def test_an_authorisation_that_was_removed_is_told(authorised, home):
+    run, path = authorised
+    assert "AUTHORISED" in call("verify", run)
+    assert "FAULT" not in call("ledger")
+    removed(run)
+    what = "the ledger names an authorisation that is missing: by ada@lab.example (SHA256:"
+    for words in (("verify", run), ("runs", run.parent), ("ledger",)):
+        assert what in with_a_fault(*words)
+    state = shown_state(run, home_trust(home), datetime.now(UTC), known_authorisations(home))
+    assert state.state == "SEALED"
+    assert what in state.text
+    done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(path), "--yes"])
+    assert what in done.output
+    assert "Authorised by ada@lab.example" in call("verify", run)
+    assert "FAULT" not in call("ledger")
+
+
+def test_a_copy_that_may_be_older_than_the_authorisation_is_no_fault(authorised, home, tmp_path):
+    run, _ = authorised
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("*.authorised.sig"))
+    what = "the ledger names an authorisation that this copy does not have: by ada@lab.example (SHA256:"
+    assert what in call("verify", copy)
+    known = known_authorisations(home)
+    assert f"Note: {what}" in shown_state(copy, home_trust(home), datetime.now(UTC), known).text
+    assert "FAULT" not in call("runs", copy)
+    run.rename(run.with_name("away"))  # the folder itself may have been moved to there
+    assert "the ledger names an authorisation that is missing" in with_a_fault("verify", copy)
+
+
+def test_another_authorisation_than_that_of_the_ledger_is_told(authorised, home, tmp_path):
+    run, _ = authorised
+    removed(run)
+    other = make_key(tmp_path, "eve")
+    call("keys", "trust", f"{other}.pub", "--person", "eve@lab.example")
+    (home / "ledger.jsonl").rename(home / "away")
+    call("certificate", "authorise", run, "--key", other, "--yes")
+    (home / "away").rename(home / "ledger.jsonl")
+    what = "the ledger names another authorisation than SHA256SUMS.authorised.sig: by ada@lab.example"
+    assert what in with_a_fault("verify", run)
+
+
+def test_a_computer_without_a_ledger_says_that_nothing_was_entered(run, home, ada):
+    done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(ada), "--yes"])
+    assert "Not entered in a ledger, so nobody would notice that it was removed" in done.output
+    assert not (home / "ledger.jsonl").exists()
 
 
 def test_a_script_authorises_with_json(run, ada):

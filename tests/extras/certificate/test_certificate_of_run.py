@@ -2,17 +2,22 @@
 
 import dataclasses
 import json
+import re
 import shutil
+from datetime import datetime, timedelta
 
 import pytest
-from certificate_lab import FIRST
+from certificate_lab import FIRST, Lab
 from certificate_sample import LAB, full_dcc
 from sealed_bench import sample_results, write_sealed_run
 
 from bench.base.errors import EvidenceError
 from bench.extras.certificate.amend import amend
 from bench.extras.certificate.check import check_certificate
+from bench.extras.certificate.facts_of_run import utc_seconds
+from bench.extras.certificate.series import Wanted, reserve
 from bench.record.conformity import conformity
+from bench.record.ledger import Ledger
 from sequences.schema import ResultLimitConfig
 
 
@@ -82,6 +87,10 @@ def test_a_pass_over_a_sealed_fail_with_a_reason_says_so_itself(failed):
     failed.lab.write_text(LAB, encoding="utf-8")
 
 
+def test_a_reason_that_the_certificate_does_not_need_is_not_stated(lab):
+    assert lab.issue(despite="no matter").certificate.statement("limits") == ""
+
+
 def test_the_verifier_asks_for_the_statement_and_for_a_date_after_the_run(failed):
     issued = failed.issue(despite="waived")
     path = issued.folder / "certificate.json"
@@ -101,6 +110,17 @@ def test_the_verifier_asks_for_the_statement_and_for_a_date_after_the_run(failed
     assert "pass over a FAIL of the run" in faults(silent)
     early = dataclasses.replace(whole, issued_utc="2025-11-21T08:30:00Z")
     assert "before its calibration ended" in faults(early)
+
+
+def test_a_certificate_is_not_issued_in_the_second_before_its_run_ended(lab):
+    ended = datetime.fromisoformat(sample_results()["run"]["finished_utc"])
+    lab.now = ended - timedelta(seconds=2)
+    with pytest.raises(EvidenceError, match="but the calibration ended on"):
+        reserve(
+            Ledger(lab.path / "elsewhere", utc_now=lambda: lab.now, monotonic=lambda: 0.0),
+            Wanted("SB-{number}", False, "ab", "run", "folder", ended_utc=utc_seconds(ended.isoformat())),
+            lab.now,
+        )
 
 
 def test_sequence_and_station_are_bound_by_hash_and_compared_with_the_run(lab):
@@ -136,3 +156,24 @@ def test_no_number_is_given_twice_after_an_older_home_was_restored(lab):
     assert first.certificate.number == FIRST
     assert again.certificate.number == FIRST.replace("00001", "00002")
     assert lab.numbers() == {FIRST: "lost", again.certificate.number: "issued"}
+
+
+def test_a_certificate_of_another_bench_beside_the_new_folder_takes_no_number(lab, tmp_path):
+    other = Lab(tmp_path / "other")
+    (tmp_path / "other").mkdir(exist_ok=True)
+    other.issue("first")
+    shutil.copytree(other.path / "first", lab.path / "first")
+    assert lab.issue("own").certificate.number == FIRST
+
+
+def test_of_two_numbers_with_one_count_the_part_of_the_ledgers_head_differs(lab):
+    text = LAB.replace('numbers: {format: "SB-{year}-{number:05d}"}\n', "")
+    assert text != LAB
+    lab.lab.write_text(text, encoding="utf-8")
+    first = restored(lab, lambda: lab.issue("certificates/first")).certificate
+    lab.now += timedelta(hours=1)
+    again = lab.issue("elsewhere/first").certificate
+    assert [re.sub("[0-9a-f]{4}$", "head", certificate.number) for certificate in (first, again)] == [
+        "SIMULATED-SB-2026-00001-head"
+    ] * 2
+    assert first.number != again.number

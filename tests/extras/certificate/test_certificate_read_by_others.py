@@ -3,6 +3,7 @@
 Each test is skipped where its program is missing; the reason names it.
 """
 
+import dataclasses
 import hashlib
 import re
 import shutil
@@ -13,10 +14,11 @@ import numpy as np
 import pytest
 from sealed_bench import RESULTS, sample_results
 
+from bench.extras.certificate.certificate_data import Deviation
 from bench.extras.certificate.pdf import draw_plots, render_pdf
 from bench.measure.view_picture import ViewPicture
 from tests.extras.support.certificate_sample import full_certificate, small_certificate
-from tests.support.printed_numbers import missing_numbers, missing_texts
+from tests.support.printed_numbers import missing_numbers, missing_texts, squash
 
 pytest.importorskip("typst", reason="typst is not installed (extra certificate)")
 
@@ -103,6 +105,28 @@ class TestPoppler:
         output_of("pdfdetach", "-saveall", "-o", tmp_path, full)
         assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == ATTACHED
 
+    def test_every_font_is_embedded(self, full):
+        rows = output_of("pdffonts", full).splitlines()[2:]
+        assert rows
+        for row in rows:
+            embedded, subset, unicode = row.split()[-5:-2]
+            assert (embedded, subset, unicode) == ("yes", "yes", "yes"), row
+            assert re.search("LibertinusSerif|DejaVuSansMono", row)
+
+    def test_title_language_dates_and_no_script(self, full):
+        shown = output_of("pdfinfo", full)
+        assert re.search(r"Title: +SIMULATED calibration certificate SIMULATED-SB-2026-00017\n", shown)
+        assert re.search(r"JavaScript: +no\n", shown)
+        assert re.search(r"Tagged: +yes\n", shown)
+        assert re.search(r"Encrypted: +no\n", shown)
+        assert "2026" in re.search(r"CreationDate: +(.*)\n", shown)[1]
+
+    def test_pictures_of_the_pages_differ_from_white(self, full, tmp_path):
+        output_of("pdftoppm", "-r", "20", "-gray", full, tmp_path / "page")
+        all_pages = sorted(tmp_path.iterdir())
+        assert len(all_pages) == len(pages(full))
+        assert all(np.frombuffer(file.read_bytes()[-20000:], np.uint8).std() > 5 for file in all_pages[:-1])
+
 
 class TestQpdf:
     @pytest.mark.parametrize("name", ["full", "small"])
@@ -125,6 +149,29 @@ class TestPikepdf:
         assert [element.text for element in tree.iter(f"{PDFAID}conformance")] == ["A"]
         assert [element.text for element in tree.iter(f"{PDFUAID}part")] == ["1"]
 
+    def test_output_intent_with_a_colour_profile(self, opened):
+        (intent,) = opened.Root.OutputIntents
+        assert intent.S == "/GTS_PDFA1"
+        assert intent.DestOutputProfile.read_bytes()[36:40] == b"acsp"
+
+    def test_tags_language_and_title_are_shown(self, opened):
+        assert opened.Root.MarkInfo.Marked
+        assert str(opened.Root.Lang).startswith("en")
+        assert opened.Root.ViewerPreferences.DisplayDocTitle
+        assert opened.Root.StructTreeRoot.K is not None
+
+    def test_every_figure_has_a_description(self, opened):
+        figures = [
+            element for element in elements(opened.Root.StructTreeRoot) if element.get("/S") == "/Figure"
+        ]
+        assert len(figures) == 5
+        assert all(len(str(element.get("/Alt", ""))) > 40 for element in figures)
+
+    def test_tables_have_heads(self, opened):
+        kinds = [str(element.get("/S")) for element in elements(opened.Root.StructTreeRoot)]
+        assert kinds.count("/Table") >= 12
+        assert kinds.count("/TH") > 60
+
     def test_attached_files_are_associated_with_the_document(self, opened):
         relations = {str(attached.UF): str(attached.AFRelationship) for attached in opened.Root.AF}
         assert relations == {"dcc.xml": "/Alternative", "results.json": "/Source", "wire.bin": "/Supplement"}
@@ -133,6 +180,24 @@ class TestPikepdf:
             "/application/json",
             "/application/octet-stream",
         }
+
+    def test_no_actions_no_forms_no_encryption(self, opened):
+        assert not {"/OpenAction", "/AA", "/AcroForm"} & set(opened.Root.keys())
+        assert "/JavaScript" not in opened.Root.Names
+        assert not opened.is_encrypted
+        for item in opened.objects:
+            assert not (hasattr(item, "keys") and {"/JS", "/Launch", "/URI"} & set(item.keys()))
+
+
+def elements(root):
+    """Each element of the tree of tags; numbers among the kids are content, not elements."""
+    import pikepdf
+
+    kids = root.get("/K", [])
+    for kid in [kids] if isinstance(kids, pikepdf.Dictionary | int) else kids:
+        if not isinstance(kid, int) and "/S" in kid:
+            yield kid
+            yield from elements(kid)
 
 
 class TestOpenSsh:
@@ -162,3 +227,51 @@ class TestOpenSsh:
         assert answers[0].startswith('Good "starbench-report@v1" signature for bench@lab')
         assert answers[1] == "certificate.pdf: OK\n"
         assert answers[2].startswith('Good "starbench-authorisation@v1" signature for grace.hopper')
+
+
+class TestLongTexts:
+    def test_no_word_is_lost_and_none_leaves_the_paper(self, tmp_path):
+        """Texts longer than a page, in places that otherwise stay on one page."""
+        full, said_words = full_certificate(), []
+
+        def long(tag):
+            said_words.extend(f"{tag}{number}" for number in range(900))
+            return " ".join(said_words[-900:])
+
+        certificate = dataclasses.replace(
+            full,
+            item=dataclasses.replace(full.item, condition=long("condition")),
+            customer=full.customer.model_copy(update={"name": "N" * 2000}),
+            amends=dataclasses.replace(full.amends, reason=long("reason")),
+            method=full.method.model_copy(update={"text": long("method")}),
+            conformity=(dataclasses.replace(full.conformity[0], specification=long("specification")),),
+            authorised_by=full.authorised_by.model_copy(update={"role": long("role")}),
+            opinions=(long("opinion"),),
+            conditions=full.conditions * 30,
+        )
+        path = tmp_path / "certificate.pdf"
+        path.write_bytes(render_pdf(certificate, {}, {}, {}))
+        assert set(said_words) <= set(re.split(r"[\s,]+", "\n".join(pages(path))))
+        boxes = re.findall(
+            r'xMin="(\S+)" yMin="(\S+)" xMax="(\S+)" yMax="(\S+)"', output_of("pdftotext", "-bbox", path, "-")
+        )
+        at = np.array(boxes, float)
+        assert len(at) > len(said_words)
+        assert (at[:, :2] >= 0).all()
+        assert (at[:, 2] <= 595.3).all()
+        assert (at[:, 3] <= 841.9).all()
+
+
+class TestOtherScripts:
+    def test_right_to_left_letters_and_codes_are_found_in_the_text(self, tmp_path):
+        certificate = small_certificate()
+        customer = certificate.customer.model_copy(update={"name": "שלום Ωμέγα Жуков"})
+        noted = (Deviation("pose \N{CJK UNIFIED IDEOGRAPH-5C71} was skipped", "run"),)
+        path = tmp_path / "certificate.pdf"
+        path.write_bytes(
+            render_pdf(dataclasses.replace(certificate, customer=customer, deviations=noted), {}, {}, {})
+        )
+        text = squash("\n".join(pages(path)))
+        assert squash("Ωμέγα Жуков") in text
+        assert "שלום" in text or "םולש" in text
+        assert squash("pose [U+5C71] was skipped") in text

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 import yaml
@@ -14,6 +15,7 @@ from bench.extras.certificate.lab_config import EXAMPLE, LabConfig, read_lab
 from sequences.errors import DocumentFaults
 
 NUMBERS = 'numbers: {format: "SB-{year}-{number:05d}"}'
+PAGE = Path(__file__).parents[3] / "docs" / "extras" / "certificate" / "certificates.md"
 NOTHING = "format: starbench/lab/1\n"
 
 
@@ -37,6 +39,16 @@ def test_every_key_of_a_clause_can_be_missing_and_is_then_named():
     named = {clause.number for clause, _ in unanswered(sample_lab(NOTHING).value, sample_results())}
     assert {"7.8.2.1 b", "7.8.2.1 c", "7.8.2.1 e", "7.8.2.1 f", "7.8.2.1 g", "7.8.2.1 h", "7.8.2.1 n"} < named
     assert {"7.8.2.1 o", "7.8.2.1 p", "7.8.2.2", "7.8.4.1 b", "7.8.4.1 c", "7.8.4.1 d"} < named
+
+
+def test_a_reference_without_number_date_or_issuer_is_named():
+    without = {**sample_results(), "passport": {**sample_results()["passport"], "number": None, "date": None}}
+    keys = [key for _, key in unanswered(sample_lab().value, without)]
+    assert keys == ["sources.number", "sources.date"]
+    none = {**sample_results(), "passport": None}
+    assert [key for _, key in unanswered(sample_lab().value, none)] == []
+    bare = sample_lab(LAB.replace("number: R-17, ", "")).value
+    assert [key for _, key in unanswered(bare, none)] == ["sources"]
 
 
 def test_the_example_has_every_section_and_names_every_placeholder():

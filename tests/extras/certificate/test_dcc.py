@@ -13,6 +13,7 @@ from bench.base.bounded_json import leaves
 from bench.base.encoding import plain_number
 from bench.base.errors import UsageError
 from bench.extras.certificate import dcc_xml
+from bench.extras.certificate.certificate_data import Software
 from bench.extras.certificate.certificate_folder import require_libraries
 from bench.extras.certificate.d_si import OUR_UNITS, is_unit
 from bench.extras.certificate.dcc import ellipsoid_factor, number_text, render_dcc
@@ -117,6 +118,18 @@ def test_the_ellipsoid_of_a_posterior_is_as_much_wider_than_a_normal_one_as_its_
     assert float(texts(root, f"{region}coverageFactor")[0]) == pytest.approx(normal * k / 2, rel=1e-4)
 
 
+def test_results_of_hundreds_of_pixels_are_compared_with_the_covariance():
+    full, scale = certificate_sample.full_certificate(), 66.0
+    fx = dataclasses.replace(full.results[0], printed_value="3350", printed_uncertainty="130", U=130.0)
+    matrix = [list(row) for row in full.covariance.matrix]
+    for at in range(len(matrix)):
+        matrix[0][at] *= scale
+        matrix[at][0] *= scale
+    covariance = dataclasses.replace(full.covariance, matrix=tuple(map(tuple, matrix)))
+    parts = {"results": (fx, *full.results[1:]), "covariance": covariance, "conformity": (), "budgets": ()}
+    assert check_dcc(render_dcc(dataclasses.replace(full, **parts))) == []
+
+
 @pytest.mark.parametrize(
     ("n", "nu", "expected"), [(1, None, 2.0), (6, None, 3.585), (1, 12.48, 2.2214), (6, 12.48, 4.276)]
 )
@@ -130,6 +143,38 @@ def test_numbers_are_finite_and_coverage_factors_have_no_exponent():
         with pytest.raises(ValueError, match="is not a number"):
             number_text(value)
     assert [plain_number(k, 4) for k in (2, 2.22151, 100.0, 0.00012)] == ["2", "2.2215", "100", "0.0001"]
+
+
+def test_what_wrote_the_certificate_is_told_apart_from_what_measured():
+    full = certificate_sample.full_certificate()
+    programs = (Software("starbench", "0.1.0rc2"), Software("numpy", "2.4.6"))
+    writers = (Software("certificate_form", "1fe3aa0011223344"), Software("lxml", "6.1.3"))
+    run = dataclasses.replace(full.run, software=(*programs, *writers))
+    data = render_dcc(dataclasses.replace(full, run=run))
+    for place, names, releases in (
+        ("usedSoftware", ["starbench", "numpy"], ["v0.1", "v2.4.6"]),
+        ("dccSoftware", ["starbench", "certificate_form", "lxml"], ["v0.1", "v0", "v6.1.3"]),
+    ):
+        root = etree.fromstring(data)
+        assert texts(root, f"//dcc:{place}//dcc:name/dcc:content") == names
+        assert texts(root, f"//dcc:{place}//dcc:release") == releases
+    assert b"Full version: 0.1.0rc2" in data
+    assert b"Full version: 1fe3aa0011223344" in data
+    assert check_dcc(data) == []
+
+
+def test_a_range_is_stated_with_both_ends():
+    full = certificate_sample.full_certificate()
+    text = "71.3566 to 86.9117 Mev/s"
+    rate = dataclasses.replace(
+        full.conditions[0], name="event rate", value=None, unit="Mev/s", U=None, text=text
+    )
+    odd = dataclasses.replace(rate, text="71 to 86 furlong", unit="furlong")
+    root = dcc_of(dataclasses.replace(full, conditions=(rate, odd)))
+    first, second = root.xpath("//dcc:influenceCondition", namespaces=NAMESPACES)
+    assert texts(first, ".//si:value") == ["71.3566", "86.9117"]
+    assert set(texts(first, ".//si:unit")) == {r"\micro\second\tothe{-1}"}
+    assert texts(second, "dcc:data/dcc:text/dcc:content") == ["71 to 86 furlong"]
 
 
 # ---------------------------------------------------------------- units

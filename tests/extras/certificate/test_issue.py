@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from datetime import timedelta
 from unittest import mock
 
@@ -19,6 +20,7 @@ from bench.extras.certificate.amend import amend, plots_in
 from bench.extras.certificate.certificate_data import Certificate, Software
 from bench.extras.certificate.certificate_folder import certificate_files
 from bench.extras.certificate.check import check_certificate
+from bench.extras.certificate.issue import issue
 from bench.extras.certificate.series import numbers
 from bench.record.ledger import Ledger
 from bench.record.storage import sha256_of
@@ -47,6 +49,14 @@ def test_what_was_issued_is_derived_again_to_the_byte(real):
     verification = check_certificate(real.issued.folder, real.ledger)
     assert (verification.faults, verification.not_compared) == ([], [])
     assert real.issued.certificate.run.seal_sha256 == sha256_of(real.run / "SHA256SUMS")
+
+
+def test_the_same_input_gives_the_same_bytes(real, tmp_path):
+    other = Lab(tmp_path)
+    for name in ("bench_key", "bench_key.pub"):
+        shutil.copy(real.home / name, other.home / name)
+    other.run = real.run
+    assert other.issue("another name").seal == real.issued.seal
 
 
 MUTATIONS = {
@@ -101,6 +111,15 @@ def test_a_signature_inside_the_dcc_is_named_as_not_checked_and_hides_no_change(
     assert [fault.where for fault in check_certificate(copied).faults] == ["dcc.xml", "certificate.pdf"]
 
 
+def test_a_statement_that_issuing_does_not_make_is_found(copied):
+    path = copied / "certificate.json"
+    old = "Before the issue the sealed run was verified: its seal"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, "Calibrated again by an independent laboratory: its seal"))
+    faults = [fault.what for fault in check_certificate(copied).faults]
+    assert faults == ["it does not state what was verified before the issue as issuing does"]
+
+
 def by_another_program():
     """This program as another version of itself."""
     here = (Software("certificate_form", "0" * 16),)
@@ -123,6 +142,25 @@ def test_documents_and_words_of_another_version_are_no_fault_but_named(copied):
     assert verification.not_compared[0].startswith(
         "certificate.json, certificate.pdf and dcc.xml: they were written with"
     )
+
+
+def test_an_earlier_version_may_have_divided_u_of_a_method_of_reference_otherwise(tmp_path, monkeypatch):
+    results = sample_results()
+    calibration = {**results["calibration"], "coverage_factors": {}, "coverage_factor": 2.2215}
+    path = tmp_path / "reference.json"
+    path.write_text(json.dumps({**results, "calibration": calibration}))
+    monkeypatch.setattr("certificate_sample.RESULTS", path)
+    issued = Lab(tmp_path).issue()
+    first, *others = issued.certificate.results
+    for changed, passes in (
+        ({"u": first.u / 1.25, "k": first.k * 1.25}, True),
+        ({"U": 1.25 * first.U}, False),
+    ):
+        stated = replace(issued.certificate, results=(replace(first, **changed), *others))
+        (issued.folder / "certificate.json").chmod(0o644)
+        (issued.folder / "certificate.json").write_bytes(stated.to_json())
+        with by_another_program():
+            assert (check_certificate(issued.folder).faults == []) == passes
 
 
 def test_the_ledger_tells_of_another_seal_and_of_a_void_number(real, copied):
@@ -157,6 +195,12 @@ def test_no_certificate_is_issued_over_what_was_not_compared_or_is_not_confirmed
         lab.issue()
     assert "the version that made the run" in refused.value.remedy
     assert lab.numbers() == {}
+
+
+@pytest.mark.parametrize(("again", "words"), [(True, "are the same"), (False, "were not made again")])
+def test_a_certificate_states_whether_the_results_were_made_again(lab, again, words):
+    lab.says = {"again": again}
+    assert words in lab.issue().certificate.statement("verification")
 
 
 @pytest.mark.parametrize(
@@ -219,6 +263,12 @@ def test_what_cannot_become_a_certificate_is_refused_and_takes_no_number(lab, ch
     change(lab)
     with pytest.raises(error, match=named):
         lab.issue()
+    assert lab.numbers() == {}
+
+
+def test_a_certificate_is_not_written_into_a_sealed_folder(lab):
+    with pytest.raises(UsageError, match="is sealed; a file in it would break its seal"):
+        issue(lab.run, lab.lab, lab.run / "certificate", lab.laboratory())
     assert lab.numbers() == {}
 
 
@@ -380,3 +430,14 @@ def test_a_replaced_certificate_is_not_valid_after_a_rollback_and_not_known_when
     verification = check_certificate(folder, lab.ledger)
     assert verification.faults == []
     assert "whether it was replaced or declared void" in verification.not_compared[0]
+
+
+def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
+    with mock.patch.object(issue_module, "certificate_files", certificate_files):
+        _, second = superseded(real, lab)
+    assert check_certificate(second.folder, lab.ledger).faults == []
+    path = second.folder / "certificate.json"
+    path.chmod(0o644)
+    path.write_bytes(path.read_bytes().replace(real.issued.seal.encode(), b"0" * 64))
+    faults = [fault.what for fault in check_certificate(second.folder, lab.ledger).faults]
+    assert f"the ledger does not say that it replaces {FIRST} with this seal" in faults

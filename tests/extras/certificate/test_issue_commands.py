@@ -13,6 +13,7 @@ from bench.base.errors import BenchError, UsageError
 from bench.commands.cli import cli
 from bench.extras.certificate import issue as issue_module
 from bench.extras.certificate.commands import certificate
+from bench.extras.certificate.lab_config import LabConfig
 from bench.record.ledger import Ledger
 from sequences.errors import DocumentFaults
 
@@ -70,6 +71,13 @@ def test_a_certificate_is_issued_listed_and_shown(bench):
     assert json.loads(run("show", "first", "--json"))["certificate"]["number"] == FIRST
 
 
+def test_json_is_one_object(bench):
+    issued = json.loads(run("issue", "run", "-c", "lab.yaml", "-o", "first", "--json"))
+    assert (issued["number"], issued["state"], issued["completed"]) == (FIRST, "SEALED", [])
+    (row,) = json.loads(run("show", "--json"))["certificates"]
+    assert (row["number"], row["state"], row["folder"]) == (FIRST, "SEALED", str(bench / "first"))
+
+
 def test_an_amended_certificate_is_shown_as_superseded(bench):
     run("issue", "run", "-c", "lab.yaml", "-o", "first")
     (bench / "lab.yaml").write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
@@ -96,6 +104,23 @@ def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
         run("void", FIRST, "--reason", " ")
 
 
+def test_a_certificate_that_was_complete_cannot_be_void(bench):
+    with (
+        mock.patch.object(issue_module, "enter_issued", side_effect=BenchError("killed")),
+        pytest.raises(BenchError),
+    ):
+        run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    with pytest.raises(BenchError, match=f"{FIRST} is issued: its certificate was complete"):
+        run("void", FIRST, "--reason", "x")
+    assert "SEALED" in run("show")
+
+
+def test_a_certificate_that_was_moved_or_changed_is_not_claimed_to_be_sealed(bench):
+    run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    (bench / "first").rename(bench / "elsewhere")
+    assert "NOT FOUND" in run("show")
+
+
 def test_the_example_is_written_and_refused_until_it_is_filled_in(bench):
     assert "Replace every REPLACE" in run("new", "mine.yaml")
     with pytest.raises(DocumentFaults) as refused:
@@ -109,3 +134,8 @@ def test_the_example_is_written_and_refused_until_it_is_filled_in(bench):
 def test_a_folder_without_a_certificate_is_refused(bench):
     with pytest.raises(UsageError, match="holds no certificate"):
         run("show", "run")
+
+
+def test_the_schema_of_lab_yaml_is_printed():
+    done = CliRunner().invoke(cli, ["schema", "lab"], standalone_mode=False)
+    assert set(json.loads(done.output)["properties"]) == set(LabConfig.model_fields)

@@ -16,6 +16,8 @@ from bench.base.errors import EvidenceError
 from bench.extras.certificate.budget_rows import budget_of, expanded, print_result
 from bench.extras.certificate.certificate_data import Certificate
 from bench.extras.certificate.compose import compose
+from bench.extras.certificate.lab_config import LabRuleConfig
+from bench.extras.certificate.limits import passes_over_fail
 from bench.record.conformity import conformity, verdict_of
 from bench.wording.numbers import round_expanded, with_uncertainty
 from sequences.schema import ResultLimitConfig
@@ -65,6 +67,11 @@ def test_verdicts_follow_the_guard_band(value, band, lower, upper):
     assert (verdict in ("pass", "fail")) == (inside >= band or inside < -band)
 
 
+def test_one_limit_alone_is_enough():
+    assert verdict_of("5", "1", None, 6.0) == "pass"
+    assert verdict_of("5", "1", 5.5, None) == "conditionalFail"
+
+
 SYMBOLS = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
 
 
@@ -101,6 +108,38 @@ def test_a_method_of_reference_has_one_k_of_students_distribution_for_all_values
         )
         assert nu is None or stats.t.ppf(0.97725, result.nu_eff) == pytest.approx(k, rel=1e-6)
         assert any("as one row" in remark for remark in budget.remarks) == (nu is not None)
+
+
+def test_a_stated_value_has_the_degrees_of_freedom_that_are_stated_with_it():
+    def stated(calibration):
+        row = next(row for row in calibration["budget_rows"] if row["name"] == "scale of the print")
+        row["degrees_of_freedom"] = 8
+
+    budget = budget_of(changed(stated), "fx", "px", {}, 2.0)
+    assert {row.name: row.nu for row in budget.rows if row.nu is not None} == {"scale of the print": 8.0}
+
+
+def test_rows_name_their_certificates():
+    fx = full_certificate().budgets[0]
+    known = {row.name: (row.number, row.date) for row in fx.rows if row.number}
+    assert known == {
+        "passport of the collimator": ("SIM-2026-01", "2026-01-12"),
+        "scale of the print": ("R-17", "2026-01-08"),
+    }
+
+
+def test_of_a_coefficient_a_row_of_a_single_source_states_its_value_with_its_certificate():
+    """The engine splits the variance of k1 by groups alone; certificates belong to single sources."""
+    k1 = next(budget for budget in full_certificate().budgets if budget.symbol == "k1")
+    rows = {row.name: row for row in k1.rows}
+    passport = rows["passport of the collimator"]
+    assert (passport.value, passport.number) == (0.1, "SIM-2026-01")
+    assert rows["scale of the print"].value == 2e-5
+    variances = sample_results()["calibration"]["budget"]
+    ratio = rows["scale of the print"].u / passport.u
+    by_engine = variances["scale of the print"]["k1"] / variances["passport of the collimator"]["k1"]
+    assert ratio == pytest.approx(by_engine, rel=1e-6)
+    assert (rows["stars"].type, rows["effective radius"].type) == ("A", "B")
 
 
 def changed(change):
@@ -165,6 +204,51 @@ def test_limits_of_a_value_that_the_run_did_not_determine_are_not_left_out_in_si
         if deviation.source == "run"
     ]
     assert "kb1: this calibration did not estimate it (limit: at most 1 by drawing 4711)." in texts
+
+
+def test_limits_of_the_collimator_that_the_run_does_not_keep_are_deviations():
+    results, lab = run_with_limits({"result": "r", "lower": 9999.0}, {"result": "r", "lower": 1.0})
+    certificate = compose(results, lab, identity())
+    assert certificate.conformity == ()
+    (text,) = [deviation.text for deviation in certificate.deviations if deviation.text.startswith("r ")]
+    assert "outside by more than U" in text
+
+
+def with_own_limits(results, lab, *limits):
+    rules = tuple(LabRuleConfig(**limit) for limit in limits)
+    return results, lab.model_copy(update={"decision_rules": rules})
+
+
+WIDE = {"result": "fx", "specification": "drawing 4711", "lower": 3300.0, "upper": 3400.0}
+
+
+def test_limits_of_the_laboratory_stand_beside_those_of_the_run():
+    results, lab = run_with_limits({"result": "fx", "upper": 3300.0, "specification": "drawing 4711"})
+    certificate = compose(*with_own_limits(results, lab, WIDE), identity())
+    assert [(statement.specification, statement.verdict) for statement in certificate.conformity] == [
+        ("drawing 4711", "pass"),
+        ("drawing 4711 (limits of the run's sequence)", "fail"),
+    ]
+
+
+def test_limits_that_the_laboratory_states_as_the_run_does_stand_there_once():
+    results, lab = run_with_limits({"result": "fx", "lower": 3300.0, "upper": 3400.0})
+    results, lab = with_own_limits(results, lab, WIDE)
+    certificate = compose(results, lab, identity())
+    assert [statement.specification for statement in certificate.conformity] == ["drawing 4711"]
+    assert passes_over_fail(results, lab, certificate.conformity) == []
+
+
+def test_the_runs_of_the_camera_before_this_one_are_counted_as_in_the_report():
+    results = json.loads(json.dumps(sample_results()))
+    results["run"]["ledger"] = {
+        "number": 9, "head": "ab" * 32, "of_camera": {"failed": 2, "finished": 1, "open": 2}, "faults": ["x"],
+    }  # fmt: skip
+    text = compose(results, sample_lab().value, identity()).statement("earlier_runs")
+    assert "by its ledger: 2 failed, 1 finished, 1 without an end." in text
+    assert "The ledger had a break that nobody had explained." in text
+    results["run"].pop("ledger")
+    assert compose(results, sample_lab().value, identity()).statement("earlier_runs") == ""
 
 
 # ---------------------------------------------------------------- JSON

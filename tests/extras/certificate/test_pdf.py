@@ -1,19 +1,24 @@
 """The certificate as PDF: the same bytes, text as data, every number and text, characters that fonts do not have."""
 
 import dataclasses
+import hashlib
 import io
+import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 
 import pytest
 from sealed_bench import RESULTS, sample_results
 
-from bench.base.errors import UsageError
+from bench.base.errors import BenchError, UsageError
 from bench.extras.certificate import pdf
-from bench.extras.certificate.certificate_data import Covariance, Deviation
-from bench.extras.certificate.pdf import render_pdf
-from tests.extras.support.certificate_sample import full_certificate, small_certificate
+from bench.extras.certificate.certificate_data import Covariance, Deviation, Statement
+from bench.extras.certificate.pdf import PLOTS, draw_plots, pictures, render_pdf
+from bench.measure.view_picture import ViewPicture
+from tests.extras.support.certificate_sample import FAILED, full_certificate, small_certificate
 from tests.support.printed_numbers import missing_numbers, missing_texts, numbers_of, texts_of
 
 pytest.importorskip("typst", reason="typst is not installed (extra certificate)")
@@ -39,6 +44,24 @@ def words(certificate):
     return "\n".join([certificate.title, f"END OF CERTIFICATE {certificate.number}", *texts_of(whole)])
 
 
+class TestSameInputSameBytes:
+    @pytest.mark.slow
+    def test_in_another_process_with_another_clock_place_and_language(self, tmp_path):
+        code = (
+            "import sys, hashlib; sys.path.insert(0, sys.argv[1])\n"
+            "from tests.extras.certificate.test_pdf import *\n"
+            "print(hashlib.sha256(render_pdf(full_certificate(), sample_results(), ATTACHED)).hexdigest())"
+        )
+        command = [sys.executable, "-c", code, str(RESULTS.parents[2])]
+        other = os.environ | {"TZ": "Pacific/Chatham", "LANG": "tr_TR.UTF-8", "SOURCE_DATE_EPOCH": "1"}
+        other |= {"PYTHONHASHSEED": "7", "HOME": str(tmp_path), "MPLCONFIGDIR": str(tmp_path)}
+        first, second = (
+            subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, check=True)
+            for env in (dict(os.environ), other)
+        )
+        assert first.stdout == second.stdout
+
+
 class TestTheAnnexStandsBehind:
     @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no poppler on this computer")
     @pytest.mark.parametrize("certificate", [full_certificate(), small_certificate()], ids=["full", "small"])
@@ -60,6 +83,11 @@ class TestTheAnnexStandsBehind:
             "Covariance and correlation of the results",
         ]
 
+    def test_the_variance_of_one_value_is_no_matrix(self):
+        full = full_certificate()
+        single = changed(full, covariance=Covariance(("fx",), ("px",), ((1.0,),)))
+        assert "Covariance" not in " ".join(part["title"] for part in sections_of(single, ATTACHED))
+
 
 class TestEveryValueIsPrinted:
     @pytest.mark.parametrize("certificate", [full_certificate(), small_certificate()], ids=["full", "small"])
@@ -67,6 +95,12 @@ class TestEveryValueIsPrinted:
         printed = words(certificate)
         assert missing_numbers(certificate, printed) == []
         assert missing_texts(certificate, printed) == []
+
+    def test_a_number_or_a_text_that_is_not_printed_is_noticed(self):
+        full = full_certificate()
+        other = changed(full, conditions=(changed(full.conditions[0], value=1234.5678), *full.conditions[1:]))
+        assert missing_numbers(other, words(full)) == [("conditions[0].value", 1234.5678)]
+        assert missing_texts(customer_named("Nobody"), words(full)) == [("customer.name", "Nobody")]
 
     def test_a_large_covariance_is_printed_in_parts(self):
         names = tuple(f"k{number}" for number in range(19))
@@ -95,11 +129,20 @@ class TestWhatAnAssessorLooksFor:
         assert not re.search("SIMULATED|replaces", small)
         assert not re.search(r"\bdue\b|recalibrat|valid until", small, re.IGNORECASE)
 
+    def test_the_verdicts_of_earlier_runs_stand_before_the_results(self):
+        assert FAILED in " ".join(texts_of(opening_of(full_certificate())))
+
     def test_state_with_the_person_and_the_key(self):
         text = (
             "SEALED; not a certificate until authorised by Dr. Grace Hopper, Head of laboratory (key SHA256:"
         )
         assert text in " ".join(texts_of(opening_of(small_certificate())))
+
+    def test_each_attached_file_is_listed_with_its_hash(self):
+        text = words(full_certificate())
+        for name, data in ATTACHED.items():
+            assert name in text
+            assert hashlib.sha256(data).hexdigest() in text
 
 
 class TestTextIsData:
@@ -109,6 +152,12 @@ class TestTextIsData:
         )
         assert render_pdf(hostile, {}, ATTACHED, NO_PLOTS)
         assert HOSTILE in words(hostile)
+
+    def test_words_of_every_length_in_every_field(self):
+        full = full_certificate()
+        long = changed(full.item.camera, maker="M" * 200, model="1" * 200, serial="9" * 90)
+        item = changed(full.item, camera=long, condition="x" * 900)
+        assert render_pdf(changed(full, item=item, number="N" * 60), {}, {}, NO_PLOTS)
 
 
 class TestCharacters:
@@ -137,9 +186,50 @@ class TestCharacters:
         assert "customer.name" in str(caught.value)
         assert all(f"U+{ord(character):04X}" in str(caught.value) for character in pdf.missing(text))
 
+    def test_all_fields_that_the_laboratory_states_are_named_at_once(self):
+        stated = changed(customer_named("山"), opinions=("田",), deviations=(Deviation("山", "laboratory"),))
+        fields = r"(?s)customer\.name has 山.*deviations\[0\]\.text.*opinions\[0\] has 田"
+        with pytest.raises(UsageError, match=fields):
+            render_pdf(stated, {}, {}, NO_PLOTS)
+
     def test_what_the_run_holds_is_printed_as_code_with_a_note(self):
         noted = changed(full_certificate(), deviations=(Deviation("pose 山\u202e was skipped", "run"),))
         assert render_pdf(noted, {}, {}, NO_PLOTS)
         assert "pose [U+5C71][U+202E] was skipped" in words(noted)
         assert pdf.CODE_NOTE in words(noted)
         assert pdf.CODE_NOTE not in words(full_certificate())
+
+    @pytest.mark.parametrize(
+        ("kind", "refused"), [("traceability", True), ("also", True), ("not_included", False)]
+    )
+    def test_a_statement_is_refused_if_the_laboratory_words_it(self, kind, refused):
+        stated = changed(full_certificate(), statements=(Statement(kind, "山"),))
+        assert bool(pdf.faults(json.loads(stated.to_json()))) == refused
+
+
+class TestPlots:
+    def test_what_follows_from_the_results_alone(self):
+        assert set(draw_plots(sample_results())) == {"uncertainty", "distortion"}
+
+    def test_with_the_stars_of_the_poses(self):
+        import numpy as np
+
+        points = np.random.default_rng(1).uniform((0, 0), (1279, 719), (80, 2))
+        views = [ViewPicture("pose", None, points, points + 0.1, np.arange(80))]
+        plots = draw_plots(sample_results(), views)
+        assert set(plots) == {"uncertainty", "coverage", "vectors", "regions", "distortion"}
+        shown = pictures(full_certificate(), plots)
+        assert [plot["name"] for plot in shown] == [name for name in PLOTS if name in plots]
+        assert all("0.46 px" in plot["alt"] and "boresight" not in plot["alt"] for plot in shown)
+        assert render_pdf(full_certificate(), {}, {}, plots)
+
+    def test_without_a_covariance_there_are_none(self):
+        calibration = {**sample_results()["calibration"], "covariance": None}
+        assert draw_plots({"calibration": calibration}) == {}
+
+
+class TestFaults:
+    def test_a_fault_of_the_layout_is_one_message(self, monkeypatch):
+        monkeypatch.setattr(pdf, "document", lambda *_: {})
+        with pytest.raises(BenchError, match="typst could not make the certificate"):
+            render_pdf(small_certificate(), {}, {}, NO_PLOTS)

@@ -22,6 +22,7 @@ from bench.extras.certificate.series import (
     reserve,
 )
 from bench.record.ledger import Ledger
+from bench.record.ledger_marks import LEDGER_BROKEN
 
 NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 
@@ -53,6 +54,25 @@ def bench(tmp_path):
     return Bench(tmp_path / "home")
 
 
+def test_simulated_certificates_and_each_year_have_a_series_of_their_own(bench):
+    assert bench.issue("a") == "SB-2026-00001"
+    assert bench.issue("b", simulated=True) == "SIMULATED-SB-2026-00001"
+    bench.now = NOW.replace(year=2027)
+    assert bench.issue("c") == "SB-2027-00001"
+    assert bench.issue("d", number_format="N{number}") == "N1"
+
+
+def test_numbers_go_on_behind_those_that_only_a_second_place_knows(bench):
+    bench.issue("a")
+    (series,) = {certificate.series for certificate in bench.numbers().values()}
+    known = [{"place": "a disk elsewhere", "head": "0" * 64, "runs": 0, "counts": {series: 7}}]
+    bench.ledger.append(
+        LEDGER_BROKEN, what=["lines are missing"], known=known, kept=None, reason="lost", by="ada"
+    )
+    assert bench.issue("b") == "SB-2026-00008"
+    assert len(bench.numbers()) == 8
+
+
 def test_a_number_left_open_goes_to_the_next_certificate_of_the_same_run_also_in_a_new_year(bench):
     left = bench.reserve("a").number
     assert bench.reserve("a", folder="/elsewhere").number == left
@@ -62,6 +82,18 @@ def test_a_number_left_open_goes_to_the_next_certificate_of_the_same_run_also_in
     bench.now = NOW.replace(year=2027)
     assert bench.issue("a") == left == "SB-2026-00001"
     assert bench.issue("b") == "SB-2027-00001"
+
+
+def test_a_second_certificate_of_a_run_needs_a_reason_and_a_first_one(bench):
+    with pytest.raises(EvidenceError, match=r"has no certificate yet\. Leave out --reason"):
+        bench.reserve("a", also="x")
+    first = bench.issue("a")
+    with pytest.raises(
+        EvidenceError,
+        match=f"has a certificate already: {first} of 2026-11-21.*amend.*issue .* --config .* --reason",
+    ):
+        bench.reserve("a")
+    assert bench.issue("a", also="a copy for the other owner") == "SB-2026-00002"
 
 
 def test_a_number_left_open_stops_other_runs_until_it_is_void(bench):

@@ -61,3 +61,8 @@ def test_finished_runs_of_this_camera_count(lab, verdict, facts, counts):
     enter(lab, verdict, **facts)
     after = lab.issue("second", also="again").certificate.statement("verdicts")
     assert (after != before) == counts
+
+
+def test_lines_of_earlier_versions_stay_readable(lab):
+    assert [run.verdict for run in lab.ledger.runs()] == [None]
+    assert "1 of an earlier version" in lab.issue().certificate.statement("verdicts")

@@ -5,10 +5,11 @@ import shutil
 from datetime import timedelta
 
 import pytest
-from many_runs import BEGIN, BenchOfRuns
+from many_runs import BEGIN, BenchOfRuns, write_run
 
 from bench.evidence.merged_runs import (
     IN_LEDGER,
+    NO_LEDGER,
     NOT_IN_LEDGER,
     EnteredRun,
     LedgerSource,
@@ -86,6 +87,14 @@ def test_a_missing_folder_and_one_with_another_run_are_faults(tmp_path, two):
     assert merged.notes == [unknown]
 
 
+def test_folders_that_were_copied_elsewhere_are_found_by_their_line(tmp_path, two):
+    shutil.move(tmp_path / "a" / "runs", tmp_path / "central")
+    merged = merge(tmp_path, two[0], folders=run_folders(tmp_path / "central"))
+    assert merged.faults == []
+    assert len(merged.runs) == 3
+    assert {place.state for place in merged.places.values()} == {IN_LEDGER}
+
+
 def test_a_copy_counts_once_and_a_copy_with_another_content_is_a_fault(tmp_path, two):
     first, copies = tmp_path / "a" / "runs" / "run-00001", tmp_path / "copies"
     same, other, results = (shutil.copytree(first, copies / name) for name in ("same", "journal", "results"))
@@ -117,6 +126,13 @@ def test_changed_results_and_a_broken_journal_are_one_fault_each(tmp_path, two):
     assert [run.id for run in merged.runs] == ["run-00001", "run-00003"]
 
 
+def test_a_run_whose_journal_differs_from_its_line_is_named(tmp_path):
+    made = BenchOfRuns(tmp_path / "home", tmp_path / "runs")
+    made.run(begun=BEGIN, simulated=True)  # the ledger says: not simulated
+    merged = merge(tmp_path, made.close())
+    assert merged.faults[0].endswith("its journal states the simulated True, the ledger False")
+
+
 def test_a_removed_seal_is_named(tmp_path, two):
     folder = tmp_path / "a" / "runs" / "run-00001"
     (run,) = RunIndex(tmp_path / "here").runs([folder])[0]
@@ -138,3 +154,11 @@ def test_a_damaged_ledger_is_a_fault_and_its_runs_are_not_lost(tmp_path, two):
     merged = merge(tmp_path, *two, folders=run_folders(tmp_path / "a" / "runs"))
     assert any("The ledger is damaged" in fault for fault in merged.faults)
     assert len(merged.runs) == 5
+
+
+def test_rehearsals_and_runs_without_a_place_are_listed_without_a_fault(tmp_path, two):
+    write_run(tmp_path / "more" / "rehearsed", rehearsal=True)
+    merged = merge(tmp_path, two[0], folders=run_folders(tmp_path / "more"), only_folders=True)
+    (run,) = merged.runs
+    assert merged.places[run.folder].state == NO_LEDGER
+    assert (merged.faults, merged.notes) == ([], [])

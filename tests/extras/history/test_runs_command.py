@@ -67,6 +67,13 @@ def test_the_charts_and_their_verdict(tmp_path, capsys, home):
     assert group["parameters"][0]["drift"]["per_day"]["seen"]
 
 
+def test_a_single_run_is_too_few(tmp_path, capsys, home):
+    write_run(tmp_path / "runs" / "one")
+    status, (out, _) = ended(capsys, *CHARTS, "runs")
+    assert status == 0
+    assert "1 run: too few for a verdict" in out
+
+
 @pytest.mark.parametrize(
     ("words", "what"),
     [

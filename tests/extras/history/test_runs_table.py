@@ -119,6 +119,18 @@ def test_what_is_no_number_is_empty_and_named(tmp_path):
     assert json.loads(row["other_parameters"]) == {"own": {"value": 1.5, "sigma": 0.5}}
 
 
+def test_results_that_were_changed_give_nothing_but_a_warning(tmp_path):
+    folder, home = write_run(tmp_path / "run"), tmp_path / "home"
+    assert rows_of(home, [folder])[0]["target_serial"] == "T-1"
+    results = json.loads((folder / "results.json").read_text())
+    results["run"]["target"]["serial"] = "T-2"
+    (folder / "results.json").write_text(json.dumps(results))
+    (row,) = rows_of(home, [folder])
+    assert row["target_serial"] is None
+    assert row["warnings"] == ["results.json was changed: its SHA-256 is not the one in the journal."]
+    assert row["fx_px"] == 3345.0  # the journal has it
+
+
 def test_a_file_that_cannot_be_written_is_refused_with_what_to_do(tmp_path, monkeypatch):
     for name, what in (
         ("runs.xlsx", "not as .xlsx"),

@@ -1,13 +1,16 @@
 """Conversions and checks by workers: as without them, continued after an interruption, nothing overwritten."""
 
 import json
+import shutil
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from bench.base.errors import UsageError
 from bench.base.program import forms
+from bench.commands.cli import cli
 from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
 from bench.extras.tools.conversions import convert_many, plan_targets
@@ -23,6 +26,10 @@ from drivers.camera.raw_header import render_header
 CAMERA = CameraIdentity(
     maker="Prophesee", model="EVK4", sensor="IMX636", serial="1", firmware="1", width=1280, height=720
 )
+
+
+def run(*words):
+    return CliRunner().invoke(cli, [str(word) for word in words], standalone_mode=False)
 
 
 # ------------------------------------------------------------------ rows on the disk
@@ -96,6 +103,24 @@ def test_an_interrupted_conversion_goes_on_and_replaces_nothing_of_others(record
     assert (out / "p1.npz").read_bytes() == before
 
 
+def test_the_command_converts_many_into_a_folder(recordings, tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.extras.tools.convert.open_workers", lambda *_, **__: Serial())
+    words = ["convert", *recordings, tmp_path / "out", "--as", "numpy"]
+    ended = run(*words)
+    assert "2 of 2 files converted." in ended.stdout
+    assert "4000 events, 2 triggers" in ended.stdout
+    recordings[1].write_bytes(b"no events")
+    shutil.rmtree(tmp_path / "out")
+    ended = run(*words)
+    assert ended.return_value == 1
+    assert "1 of 2 files converted; 1 FAILED." in ended.stdout
+    assert "FAILED" in ended.stderr
+    assert "format of the new files" in str(run("convert", *recordings, tmp_path / "out2").exception)
+    twice = [recordings[0], tmp_path / "p1.raw"]
+    with pytest.raises(UsageError, match=r"would become p1\.npz"):
+        plan_targets(twice, tmp_path, "numpy")
+
+
 # ------------------------------------------------------------------ checks of sealed folders
 
 
@@ -127,3 +152,14 @@ def test_only_what_was_derived_again_is_kept(sealed, signers, derived):
     (sealed / "results.json").write_text("{}")
     changed = check_one(sealed, check, row)
     assert {fault.where for fault in changed.verification.faults} == {"results.json"}
+
+
+def test_the_command_checks_many_folders_and_names_each(sealed, home, tmp_path, derived, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(home))
+    shutil.copytree(sealed, tmp_path / "other")
+    (tmp_path / "other" / "results.json").write_text("{}")
+    monkeypatch.setattr("bench.commands.verify.open_workers", lambda *_, **__: Serial())
+    ended = run("verify", sealed, tmp_path / "other", "-o", tmp_path / "kept")
+    assert ended.return_value == 1
+    assert "other: NOT VERIFIED." in ended.stdout
+    assert "2 folders:" in ended.stdout

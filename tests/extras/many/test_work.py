@@ -8,7 +8,7 @@ import cluster_work
 import pytest
 
 from bench.extras.many.processes import DaskWorkers, Processes
-from bench.work.workers import Serial, Work
+from bench.work.workers import Serial, Work, WorkLeft, map_work
 
 
 def ends(workers, *works):
@@ -31,6 +31,19 @@ def test_errors_become_part_of_the_result():
     assert not done.defect
     done = ends(Serial(), Work("b", cluster_work.defect, ()))["b"]
     assert "KeyError" in done.defect
+
+
+def test_a_map_reads_no_more_items_than_it_hands_out():
+    read = []
+
+    def items():
+        for number in range(10):
+            read.append(number)
+            yield (number,)
+
+    mapped = map_work(cluster_work.double, items(), Serial())
+    next(mapped)
+    assert len(read) <= 2
 
 
 DASK = [
@@ -68,6 +81,10 @@ def test_workers_that_die_are_replaced_and_their_work_is_done(workers, tmp_path)
     assert ends(workers, Work("after", cluster_work.double, (21,)))["after"].value == 42
 
 
+def test_work_with_which_every_worker_dies_fails(workers):
+    assert ends(workers, Work("dies", cluster_work.die, ()))["dies"].failure.kind == "WorkerDied"
+
+
 def test_processes_end_with_their_workers_and_count_those_that_died():
     with Processes(2) as workers:
         done = ends(workers, Work("dies", cluster_work.die, ()))
@@ -92,3 +109,22 @@ def test_work_that_needs_too_much_memory_fails_and_says_so():
         assert "--workers" in done["much"].failure.remedy
         assert done["few"].value == 2
         assert workers.replaced == 0
+
+
+def test_closing_ends_work_in_progress():
+    workers = Processes(1)
+    workers.submit(Work("long", cluster_work.rest, (60,)))
+    (pid,) = workers.pids
+    begun = time.monotonic()
+    workers.close()
+    assert time.monotonic() - begun < 10
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_the_time_left_follows_from_the_time_so_far():
+    now = [100.0]
+    left = WorkLeft(lambda: now[0])
+    assert left.left_s(0, 10) is None
+    now[0] = 120.0
+    assert left.left_s(4, 10) == 30.0

@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from calling import out_of
+from calling import out_of, refusal
 
 from tests.unit.bench.commands import test_engine_commands
 
@@ -53,6 +53,22 @@ def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, poin
     assert "A change of scale explains it" in shown
 
 
+def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points, camera_info, tmp_path):
+    words = ["check", points[0] / "view1.csv", "--image-size", "1280x720", "--calibration"]
+    shown = out_of(capsys, *words, camera_info())
+    assert shown.startswith(
+        "One view without a known collimator: judged is only what no other pose explains."
+    )
+    assert "RIGHT as far as this view can tell" in shown
+    assert "A change of one value alone would be seen from: scale" in shown
+    answer = json.loads(out_of(capsys, *words, camera_info(), "--json"))
+    assert (answer["one_view"], answer["right"]) == (True, True)
+    assert answer["seen_from"]["scale"] > 0.001
+    true = points[1].camera  # a file without a size, as OpenCV's tutorial writes it
+    np.savez(tmp_path / "calib.npz", mtx=true.matrix, dist=true.coefficients[:5])
+    assert "RIGHT as far as" in out_of(capsys, *words, tmp_path / "calib.npz")
+
+
 LENSES = {
     "tangential": ("plumb_bob", [-0.21, 0.11, 4e-4, -6e-4, 0.0]),
     "fisheye": ("equidistant", [-0.03, 0.011, -0.006, 0.002]),
@@ -78,6 +94,14 @@ def test_a_right_camera_is_right_by_views_of_a_board_whatever_lens_it_has(capsys
     points = sorted(tmp_path.glob("*.csv"))
     words = ["check", *points, "--image-size", "1280x720", "--board", "checkerboard:9x6:30mm"]
     assert out_of(capsys, *words, "--calibration", stated).startswith("RIGHT")
+
+
+def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
+    for file in points[0].iterdir():
+        (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
+    monkeypatch.setattr("bench.solve.solution.calibrate", lambda *_: pytest.fail("calibrated"))
+    message = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
+    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in message
 
 
 @pytest.mark.parametrize("kind", ["metavision", "hdf5", "numpy"])

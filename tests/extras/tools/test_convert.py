@@ -3,10 +3,14 @@
 import h5py
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from running import called
 
+from bench.base.errors import UsageError
+from bench.extras.tools.convert import convert
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
+from drivers.camera.raw_file import RawFile
 
 WORDS = np.array([0x8001, 0x6002, 0x0005, 0x2803, 0xB000, 0x9999, 0x2004], "<u2").tobytes()
 NO_SIZE = b"% evt 3.0\n% serial_number 7\n% end\n"
@@ -46,6 +50,16 @@ def test_an_invalid_file_ends_with_2_and_one_message(tmp_path, content, words):
     assert [path.name for path in tmp_path.iterdir() if path.suffix in {".npz", ".part"}] == []
 
 
+def test_a_recording_without_a_size_is_copied_with_one_word_for_word(tmp_path):
+    (tmp_path / "a.raw").write_bytes(NO_SIZE + WORDS)
+    status, out, err = run(tmp_path / "a.raw", tmp_path / "b.raw", "--sensor-size", "1280x720", home=tmp_path)
+    assert (status, out) == (0, f"{tmp_path / 'b.raw'}: 2 events, 0 triggers\n")
+    assert "words whose type EVT3 does not define were left out: 1." in err
+    copy = RawFile.open(tmp_path / "b.raw")
+    assert (copy.width, copy.height, copy.serial) == (1280, 720, "7")
+    assert b"".join(words.tobytes() for words in copy.words()) == WORDS
+
+
 def test_a_wrong_size_is_refused_before_anything_is_read(tmp_path):
     status, _, err = run("none.raw", tmp_path / "b.raw", "--sensor-size", "1280", home=tmp_path)
     assert status == 2
@@ -73,6 +87,30 @@ def test_what_was_assumed_is_printed_and_the_unit_can_be_said(tmp_path):
     status, out, err = run(*words, "--time-unit", "ms", home=tmp_path)
     assert (status, out) == (0, f"{tmp_path / 'b.npz'}: 2000 events, 0 triggers, 1999 s\n")
     assert "unit" not in err
+
+
+def test_many_files_take_the_same_choices(stereo, tmp_path):
+    (tmp_path / "other.h5").write_bytes(stereo.read_bytes())
+    words = [
+        str(stereo),
+        str(tmp_path / "other.h5"),
+        str(tmp_path / "out"),
+        "--as",
+        "raw",
+        "--stream",
+        "left",
+    ]
+    ran = CliRunner().invoke(convert, [*words, "--sensor-size", "8x8"], standalone_mode=False)
+    assert ran.exception is None
+    assert "2 of 2 files converted" in ran.output
+    recording = RawFile.open(tmp_path / "out" / "other.raw")
+    assert (recording.width, len(recording.read()[0].t)) == (8, 3)
+
+
+def test_a_file_with_an_unknown_extension_is_named_by_what_it_holds(tmp_path):
+    (tmp_path / "a.aedat").write_bytes(b"#!AER-DAT3.1\r\n")
+    with pytest.raises(UsageError, match=r"'\.aedat': the file is a text file.*AEDAT 4"):
+        list(view_sources(tmp_path / "a.aedat", OfflineOptions()))
 
 
 def test_a_ros_2_bag_is_one_recording_not_a_folder_of_files(tmp_path):

@@ -11,7 +11,10 @@ from calling import out_of, refusal
 from drawn_rig import BOARD as CORNERS_MM
 from drawn_rig import Drawn
 
+from bench.camera_files.reader import read_camera_file
 from bench.solve.exports import camera_info
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.rig import find_rig
 from calib.model.rotation import exp_map, log_map
 from calib.target import StarTarget
 from drivers.camera.formats.event_conversion import convert
@@ -84,6 +87,16 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     off = 206265 * log_map(np.array(both["rotation"]) @ rig.rotation.T)
     assert (np.abs(off) < 4.0 * np.array(both["sigma_arcsec"])).all()
     assert (np.abs(np.array(both["translation"]) - rig.translation) < 4.0 * np.array(both["sigma_mm"])).all()
+
+
+def test_the_views_of_both_cameras_are_counted_as_one_work(drawn):
+    _, folder = drawn
+    reached: list[tuple[int, int]] = []
+    choices = OfflineOptions.from_command_line(board="checkerboard:11x7:20mm", image_size="1280x720")
+    cameras = [read_camera_file(folder / f"{name}.yaml", None, None) for name in ("left", "right")]
+    paths = (folder / "left", folder / "right")
+    find_rig(paths, (), cameras, choices, lambda *done: reached.append(done))
+    assert reached == [(done, 20) for done in range(1, 21)]
 
 
 def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_path):
@@ -160,6 +173,15 @@ def test_a_stated_rig_is_right_until_a_camera_moves(capsys, drawn, tmp_path):
     assert "NOT RIGHT" in out_of(capsys, *words, moved, status=1)
 
 
+def test_a_rig_of_an_earlier_day_is_right_with_both_uncertainties(capsys, drawn, tmp_path):
+    _, folder = drawn
+    words = ("rig", folder / "left", folder / "right", *BOARD)
+    out_of(capsys, *words, "-o", tmp_path / "rig")
+    check = json.loads(out_of(capsys, *words, "--stated", tmp_path / "rig" / "rig.json", "--json"))["stated"]
+    assert check["has_covariance"]
+    assert check["normalised"] < 1e-3
+
+
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
@@ -204,6 +226,19 @@ def test_boards_that_the_second_camera_saw_upside_down_are_numbered_anew_and_it_
     ).all()
     shown = out_of(capsys, "rig", folder / "left", tmp_path, *BOARD)
     assert "10 of 10 boards from the other end" in shown
+
+
+def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
+    _, folder = drawn
+    words = ("rig", folder / "left", folder / "right", *BOARD)
+    out_of(capsys, *words, "-o", tmp_path / "rig")
+    chain = tmp_path / "rig" / "kalibr_camchain.yaml"
+    given = ("--calibration", chain, chain, "--camera", "cam0", "cam1", "--json")
+    answer = json.loads(out_of(capsys, *words, *given))
+    stated = yaml.safe_load(chain.read_text())
+    assert [camera["fx"] for camera in answer["cameras"]] == pytest.approx(
+        [stated[name]["intrinsics"][0] for name in ("cam0", "cam1")], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(

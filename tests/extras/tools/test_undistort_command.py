@@ -104,6 +104,17 @@ def test_the_tables_use_a_thin_prism_and_a_tilted_sensor_and_no_file_drops_them(
     assert np.abs(seen - pixels).max() < 1e-4  # the tables are float32
 
 
+def test_the_arrays_of_opencvs_tutorial_get_tables_with_an_image_size(capsys, tmp_path):
+    camera = CAMERAS["brown"]
+    np.savez(tmp_path / "calib.npz", mtx=camera.matrix, dist=[camera.coefficients[:5]])
+    words = (tmp_path / "calib.npz", "-o", tmp_path / "new")
+    assert "--image-size" in say(capsys, *words, status=2)
+    say(capsys, *words, "--image-size", "400x300")
+    with np.load(tmp_path / "new" / "undistort.npz") as tables:
+        assert tables["rays"][150, 200] == pytest.approx(camera.rays(np.array([[200.0, 150.0]]))[0], abs=1e-6)
+        assert np.array_equal(tables["camera_matrix"], camera.matrix)
+
+
 def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, calibrated):
     _, folder = calibrated
     cv2.imwrite(str(folder / "small.png"), np.full((30, 40), 128, np.uint8))

@@ -8,6 +8,8 @@ import pytest
 from align_fakes import served_bench
 from waiting import wait_until
 
+from bench.extras.pages.align.live_figures import LiveMeter
+
 ONE, TWO = "page-one", "page-two"
 
 
@@ -107,6 +109,27 @@ def test_taking_over_stops_the_motion_of_the_other_page(bench, page):
     two.close()
 
 
+def test_every_page_may_stop(bench, page):
+    _, session, devices = bench
+    page.do("jog", steps_deg={"pan": 5.0})
+    answer = httpx.post(
+        bench[0] + "do/stop", json={"page": "page-other"}, headers={"Origin": bench[0].rstrip("/")}
+    )
+    assert answer.status_code == 200
+    assert "stop" in devices.stage.calls
+    assert not session.bench.stage.moving
+
+
+def test_the_end_of_a_stream_is_enough_even_while_heartbeats_come(bench, page):
+    """A proxy or a worker may go on beating for a page that nobody sees any more."""
+    _, session, devices = bench
+    page.do("jog", steps_deg={"pan": 5.0})
+    page.do("jog", steps_deg={"pan": 5.0})
+    session.owners.is_lost = lambda _page: False
+    page.close()
+    wait_until(lambda: "stop" in devices.stage.calls, 1.0)
+
+
 def test_a_page_that_says_that_it_leaves_stops_its_own_motion_only(bench, page):
     _, session, devices = bench
     page.do("jog", steps_deg={"pan": 5.0})
@@ -168,6 +191,43 @@ def test_the_present_pose_goes_into_a_copy_of_a_shipped_sequence(bench, page, tm
     assert page.do("write", **body, mark=shown["mark"]).status_code == 200
     assert "centre" in (tmp_path / "mine.yaml").read_text()
     assert "mine.yaml" in httpx.get(bench[0] + "files").json()["sequences"]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [{"kind": "station", "what": ["zero"]}, {"kind": "pose", "sequence": "three_pose", "copy": "mine"}],
+)
+def test_no_angle_is_written_before_the_stage_is_homed(bench, page, tmp_path, body):
+    _, session, devices = bench
+    devices.stage.homed = False  # since the page has looked last
+    refused = page.refused("propose", **body)
+    assert refused == "The stage is not homed, so its angles are not known. Nothing was written."
+    devices.stage.step_deg = 0.005
+    devices.stage.homed = True
+    session.bench.stage.look()
+    assert page.do("jog", steps_deg={"pan": 1.0}).status_code == 200
+    assert "The stage moves." in page.refused("propose", **body)
+
+
+def test_forgetting_the_focus_reaches_the_measurement_and_the_curve(bench, page, monkeypatch):
+    noted = []
+    monkeypatch.setattr(LiveMeter, "forget", lambda _meter: noted.append(True))
+    assert page.do("forget").status_code == 200
+    wait_until(lambda: noted == [True])
+    assert httpx.get(bench[0] + "focus").json() == {"edge_width_px": []}
+
+
+def test_the_checks_say_what_is_not_checked_yet(bench, page):
+    checks = {check["name"]: check for check in page.do("check", sequence="three_pose").json()["result"]}
+    assert checks["stage: identity"]["verdict"] == "good"
+    assert checks["recording"]["verdict"] == "open"
+    assert "light on" in checks["recording"]["remedy"]
+    assert checks["sequence"]["verdict"] == "good"
+    bench[2].stage.fault = "pan: stalled"
+    checks = {check["name"]: check for check in page.do("check").json()["result"]}
+    assert checks["stage: faults"]["verdict"] == "bad"
+    assert "stalled" in checks["stage: faults"]["found"]
+    assert checks["stage: faults"]["remedy"]
 
 
 def test_the_list_says_what_was_done_and_by_which_page(bench):

@@ -40,6 +40,18 @@ def test_a_number_is_judged_by_the_range_that_stands_beside_it(share, good):
     assert (row.expected, row.good) == ("25 to 75", good)
 
 
+def test_the_frequency_by_events_counts_where_no_sync_edges_do():
+    assert rows_of(signal=SignalFigures(event_hz=70.0))["Flicker by events"].good is False
+    both = rows_of(signal=SignalFigures(event_hz=70.0, trigger_hz=60.01))
+    assert (both["Flicker by events"].good, both["Flicker by triggers"].good) == (None, True)
+
+
+def test_a_frame_camera_has_no_rows_of_events():
+    frames = LiveSetting.of_station(load_station("simulated_frames").value, light_on=True)
+    assert {"Event rate", "Sync edges", "Hot pixels"}.isdisjoint(rows_of(frames))
+    assert rows_of(frames, saturation=0.5)["Saturated"].good is False
+
+
 def test_a_single_picture_over_a_limit_changes_no_verdict():
     verdicts, row = SteadyVerdicts(), FigureRow("Contrast", "40", "%", "at least 30", good=True)
     shown = [
@@ -72,3 +84,11 @@ def test_noise_and_a_blurred_tag_change_no_turn_but_a_motion_does(change, readin
     steady = SteadyTurn()
     assert steady.steady(first, VIEW, {"pan": 1.0}) == first
     assert steady.steady(then, VIEW, reading_deg) == (first if kept else then)
+
+
+def test_a_better_sight_and_another_view_change_the_turn():
+    square, tag = (TurnFigures(of=of, pan=3.0, tilt=0.0) for of in ("square", "tag"))
+    steady = SteadyTurn()
+    assert steady.steady(square, VIEW, {}) == square
+    assert steady.steady(tag, VIEW, {}) == tag
+    assert steady.steady(square, VIEW[::-1].copy(), {}) == square

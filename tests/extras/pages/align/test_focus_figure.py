@@ -45,6 +45,21 @@ def test_the_best_is_no_single_outlier():
     assert curve_of([0.7, 0.7]).best_px is None
 
 
+def test_a_picture_that_is_shown_again_counts_once():
+    curve = FocusCurve()
+    for time_s in (1.0, 1.0, 1.0, 2.0):
+        curve.add(time_s, 0.7)
+    assert (len(curve.points()), curve.best_px) == (2, None)
+
+
+def test_the_best_begins_anew_and_the_curve_stays_until_it_is_forgotten():
+    curve = curve_of([0.7] * 5)
+    curve.begin_best()
+    assert (len(curve.points()), curve.best_px) == (5, None)
+    curve.forget()
+    assert curve.points() == []
+
+
 def test_edges_that_look_sharp_in_dim_light_do_not_count():
     figures = figures_of(fired(seen(bench(circle_px=13.0)), level_percent=10.0))
     assert figures.regions["centre"] < 2.2  # thresholded edges of stars

@@ -1,6 +1,7 @@
 """Live figures of recorded slices: good ones, and every kind of bad one with the rows that are not as expected."""
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 
@@ -9,10 +10,15 @@ import numpy as np
 import pytest
 
 from bench.extras.pages.align.figure_rows import figure_rows
+from bench.extras.pages.align.focus import FocusFigures
 from bench.extras.pages.align.live_figures import LiveMeter, LiveSetting, LiveSlice
+from bench.extras.pages.align.live_image import SignalFigures
 from bench.stations.station import load_station
 from drivers.camera import RecordingFacts
+from simulators.pixels.biases import PixelSettings
 from simulators.pixels.evt3_writer import Evt3Writer
+from simulators.world.world import LightState
+from tests.support import live_slices
 from tests.support.live_slices import HEADER, bench, drive, seen, write_slice
 
 REAL = Path(__file__).parents[3] / "data" / "evk4_real" / "imx636_1280x720_two_triggers.raw"
@@ -90,6 +96,21 @@ def test_files_that_hold_nothing(tmp_path, content, fault):
     assert figures.focus.edge_width_px is None
 
 
+def test_darkness_is_the_light_that_is_off(tmp_path):
+    path = write_slice(tmp_path / "dark.raw", seen(bench()), light=LightState(), triggers=False)
+    setting = dataclasses.replace(SETTING, light_on=False, frequency_hz=None)
+    _, figures = figures_of(path, setting)
+    assert off(figures, setting) == {"Light": "off"}
+    assert figures.stars == ()
+
+
+def test_a_lens_cap(tmp_path):
+    _, figures = figures_of(write_slice(tmp_path / "cap.raw", np.zeros((720, 1280), np.float32)))
+    assert figures.signal.trigger_hz == pytest.approx(60.0, rel=1e-3)
+    assert off(figures)["Frame in the beam"] == "0"
+    assert "Sync edges" not in off(figures)
+
+
 @pytest.mark.parametrize("light_on", [True, None])
 def test_a_real_recording_without_a_flicker(light_on):
     setting = dataclasses.replace(SETTING, light_on=light_on, frequency_hz=None)
@@ -132,6 +153,14 @@ def test_hot_pixels_only(tmp_path):
     assert off(figures, setting)["Hot pixels"] == str(figures.hot_pixels)
 
 
+def test_events_at_random_are_no_flicker(tmp_path):
+    random = np.random.default_rng(3)
+    x, y = random.integers(0, 1280, 200_000), random.integers(0, 720, 200_000)
+    _, figures = figures_of(random_words(tmp_path / "noise.raw", x, y), SETTING)
+    assert figures.signal.event_hz is None
+    assert off(figures)["Stars"] == "0"
+
+
 def test_missing_sync_and_a_wrong_frequency(folder, tmp_path):
     share = seen(bench())
     _, without = figures_of(write_slice(tmp_path / "no_sync.raw", share, triggers=False, periods=2))
@@ -163,9 +192,63 @@ def test_far_out_of_focus(tmp_path):
     assert off(figures)["Edge width"].startswith(("4.", "5."))
 
 
+def test_a_stage_that_is_not_homed_is_a_row(good):
+    setting = dataclasses.replace(SETTING, homed=False)
+    _, figures = figures_of(good, setting)
+    assert off(figures, setting) == {"Stage": "not homed"}
+
+
+def test_light_of_the_room_and_high_thresholds_show(tmp_path, monkeypatch):
+    settings = PixelSettings.from_biases({"bias_diff_on": 60, "bias_diff_off": 60}, room=0.6)
+    monkeypatch.setattr(live_slices, "Sensor", functools.partial(live_slices.Sensor, settings=settings))
+    _, figures = figures_of(write_slice(tmp_path / "room.raw", seen(bench(), pan=0.31, tilt=-0.2), periods=3))
+    assert list(off(figures)) == ["Events an edge"]
+
+
 def test_while_the_stage_turns_nothing_that_is_seen_is_judged(good):
     _, figures = figures_of(good, moving=True, facts=dataclasses.replace(FACTS, complete=False))
     assert list(off(figures)) == ["Recording"]
+
+
+def test_stars_without_a_tag_and_a_part_of_the_beam(tmp_path):
+    reading = {"pan": 15.0, "tilt": 2.0}
+    path = write_slice(tmp_path / "aside.raw", seen(bench(), **reading))
+    _, figures = figures_of(path, reading_deg=reading)
+    assert figures.beam_share < 0.5
+    assert figures.rim_in_view
+    assert figures.tag_id is None
+    assert all(star[0] == -1 for star in figures.stars)
+    assert (figures.turn.of, figures.turn.pan, figures.turn.tilt) == ("beam", -15.0, -2.0)
+    assert {"Tag 3": "not found", "Turn pan by": "-15", "Turn tilt by": "-2"}.items() <= off(figures).items()
+
+
+def test_a_tag_that_cannot_be_read_is_no_tag_out_of_view(tmp_path):
+    truth = bench(circle_px=15.0, roll_deg=0.0)
+    reading = {"pan": 5.5, "tilt": -4.5}
+    path = write_slice(tmp_path / "cut.raw", seen(truth, **reading))
+    _, figures = figures_of(path, reading_deg=reading)
+    assert (figures.tag_id, figures.turn.of) == (None, "square")
+    assert figures.turn.square_borders == ("lower",)
+    assert figures.turn.pan == pytest.approx(-5.5, abs=0.5)
+    assert figures.turn.tilt == pytest.approx(4.5, abs=0.5)
+
+
+def test_a_short_arc_without_expected_values_gives_no_angle(tmp_path):
+    v, u = np.indices((720, 1280))
+    lit = 0.9 * (np.hypot(u - 3300.0, v - 359.5) < 2900.0).astype(np.float32)
+    unknown = dataclasses.replace(SETTING, focal_px=None, half_angle_deg=None)
+    _, figures = figures_of(write_slice(tmp_path / "arc.raw", lit), unknown)
+    assert figures.disc_centre_px is None
+    assert figures.turn.of == ""
+    assert figures.turn.pan is None
+    assert "Turn pan by" not in off(figures, unknown)
+
+
+def test_stars_along_the_pixels_are_not_as_expected(tmp_path):
+    path = write_slice(tmp_path / "level.raw", seen(bench(roll_deg=0.5), pan=0.31, tilt=-0.2))
+    _, figures = figures_of(path)
+    assert list(off(figures)) == ["Roll to the pixels"]
+    assert figures.turn.roll_by_deg == pytest.approx(9.5, abs=0.5)
 
 
 def test_rates_beyond_the_gates(good, tmp_path):
@@ -209,6 +292,14 @@ def test_pictures_of_a_frame_camera(tmp_path):
     assert {"Stars", "Tag 3", "Contrast", "Edge width"} <= off(blurred, FRAMES).keys()
 
 
+def test_the_meter_searches_stars_when_it_is_time_to(good):
+    meter = LiveMeter(stars_every_s=0.0)
+    for number in range(3):
+        _, last = meter.measure(LiveSlice(good, 100.0 * number), SETTING)
+    assert last.stars_time_s == 200.0
+    assert not last.stars_followed
+
+
 def test_stars_at_rest_are_followed_and_a_turned_camera_is_noticed_in_the_next_picture(good, tmp_path):
     meter = LiveMeter(stars_every_s=1000.0)
     _, first = meter.measure(LiveSlice(good, 0.0), SETTING)
@@ -229,3 +320,35 @@ def test_stars_at_rest_are_followed_and_a_turned_camera_is_noticed_in_the_next_p
     moved = {number: np.array([x, y]) for number, x, y in third.stars}
     shift = np.median([moved[n] - by_id[n] for n in by_id if n in moved], axis=0)
     np.testing.assert_allclose(shift, step_px, atol=4.0)
+
+
+@pytest.mark.parametrize(("to", "reading"), [(15.0, 15.0), (15.2, 15.0), (15.0, 15.2)])
+def test_stars_without_a_tag_stay_only_while_nothing_moves(tmp_path, to, reading):
+    meter = LiveMeter(stars_every_s=1000.0)
+    path = write_slice(tmp_path / "aside.raw", seen(bench(), pan=15.0), periods=0)
+    later = write_slice(tmp_path / "later.raw", seen(bench(), pan=to), periods=0, seed=2)
+    _, first = meter.measure(LiveSlice(path, 0.0, None, {"pan": 15.0}), SETTING)
+    _, second = meter.measure(LiveSlice(later, 0.5, None, {"pan": reading}), SETTING)
+    assert len(first.stars) > 50
+    if (to, reading) == (15.0, 15.0):
+        assert (second.stars, second.stars_time_s) == (first.stars, 0.0)
+    else:
+        assert (second.stars, second.stars_time_s) == ((), None)
+        assert second.focus.edge_width_px is None
+
+
+def test_stars_are_forgotten_when_the_light_goes_off(good, tmp_path):
+    meter = LiveMeter(stars_every_s=1000.0)
+    meter.measure(LiveSlice(good, 0.0), SETTING)
+    dark = write_slice(tmp_path / "dark.raw", seen(bench()), light=LightState(), triggers=False)
+    _, figures = meter.measure(LiveSlice(dark, 0.5), dataclasses.replace(SETTING, light_on=False))
+    assert figures.stars == ()
+
+
+def test_what_is_not_finite_is_none():
+    from bench.extras.pages.align.live_figures import LiveFigures
+
+    focus = FocusFigures(edge_width_px=np.float32(1.5))
+    plain = LiveFigures(signal=SignalFigures(jitter_us=float("nan")), focus=focus).to_json()
+    assert plain["signal"]["jitter_us"] is None
+    assert type(plain["focus"]["edge_width_px"]) is float

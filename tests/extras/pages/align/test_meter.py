@@ -19,6 +19,7 @@ from bench.extras.pages.align.live_image import (
     count_slice,
     measure_signal,
     read_image,
+    whole_periods,
 )
 from bench.extras.pages.align.meter import MeterProcess
 from bench.stations.station import load_station
@@ -81,6 +82,12 @@ def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, m
     assert other.exists()
 
 
+def test_without_room_in_memory_the_folder_is_on_the_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory_folder, "MEMORY", tmp_path / "none")
+    monkeypatch.setattr(memory_folder.tempfile, "gettempdir", lambda: str(tmp_path))
+    assert slice_folder.make_slice_folder().parent == tmp_path
+
+
 # ---------------------------------------------------------------- whole periods
 
 TIMING = LiveSetting.of_station(load_station("simulated").value, frequency_hz=60.0, light_on=True)
@@ -104,6 +111,12 @@ def test_events_of_whole_periods_are_counted(tmp_path, origin_us):
     assert counted.periods == 2
     assert counted.counts[1, 1, 1] == counted.counts.sum() == np.count_nonzero(t < 8000)
     assert counted.statistics.events == len(t)
+
+
+def test_a_slice_shorter_than_a_period_is_counted_as_a_whole(tmp_path):
+    counted = count_slice(raw_of(tmp_path / "slice.raw", [0, 900, 3000]), 4000.0)
+    assert (counted.periods, int(counted.counts.sum())) == (0, 3)
+    assert whole_periods(np.zeros(0, "<u2"), 4000.0) == (0, 0)
 
 
 @pytest.mark.parametrize("waveform", ["square", "sine"])
@@ -168,3 +181,34 @@ def test_rates_and_frequencies():
     assert signal.link_share == pytest.approx(8e-3 / (duration_s * LINK_GBIT_S), rel=0.05)
     assert signal.jitter_us == pytest.approx(0.3, abs=0.3)
     assert signal.sync_fault == ""
+
+
+def test_the_jitter_of_the_sync_is_the_drawn_one():
+    signal = measure_signal(
+        events_of(2000 + PERIOD_US * np.arange(40)), edges(40, jitter_us=25.0), 1000, None
+    )
+    assert signal.jitter_us == pytest.approx(25.0, rel=0.25)
+
+
+EMPTY = Events(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.uint16), np.zeros(0, np.uint8))
+
+
+def test_missing_sync_edges_are_counted():
+    some = edges(12)
+    kept = [0, 1, 2, 3, 20, 21, 22, 23]
+    signal = measure_signal(
+        events_of(2000 + PERIOD_US * np.arange(12)), triggers_of(some.t[kept], some.value[kept]), 1000, 60.0
+    )
+    assert (signal.triggers, signal.triggers_expected) == (4, 12)
+
+
+def test_edges_without_a_period_are_named():
+    odd = triggers_of([1000, 1700, 9000, 9800, 40_000, 41_000], [1, 0, 1, 0, 1, 0])
+    signal = measure_signal(events_of(2000 + PERIOD_US * np.arange(4)), odd, 1000, 60.0)
+    assert signal.sync_fault
+
+
+def test_a_short_slice_takes_the_set_frequency_for_its_image_only():
+    signal = measure_signal(events_of([3000.0]), triggers_of([], []), 1000, 60.0)
+    assert signal.flicker.frequency_hz == pytest.approx(60.0)
+    assert (signal.trigger_hz, signal.event_hz) == (None, None)

@@ -3,6 +3,7 @@
 import pytest
 
 from bench.extras.pages.align.owners import BEAT_LIMIT_S, Owners
+from bench.extras.pages.align.session import Happened
 
 
 class Clock:
@@ -49,3 +50,9 @@ def test_a_page_is_lost_when_its_heartbeat_is_old(owners):
 
 
 # ---------------------------------------------------------------- what happened
+
+
+@pytest.fixture
+def listed():
+    now_s, changes = [100.0], []
+    return Happened(lambda: changes.append(True), lambda: now_s[0]), now_s, changes

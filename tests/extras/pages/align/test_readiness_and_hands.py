@@ -71,6 +71,24 @@ def test_the_recording_is_judged_by_the_gates_of_a_run(opened, monkeypatch):
     assert devices.light.lit  # the light stays as it is
 
 
+def test_a_recording_without_stars_says_so_once(opened, monkeypatch):
+    session, _ = opened
+    session.light(on=True)
+    kind = Kind([Gate("stars", 0, "", ">= 40", "fail")], fault="no star was found.")
+    checks = _checked(session, monkeypatch, kind)
+    assert checks["recording: stars"].found == "no star was found."
+    assert checks["recording: stars"].verdict == "bad"
+
+
+def test_a_stage_that_is_not_homed_is_no_fault(opened):
+    session, devices = opened
+    devices.stage.homed = False
+    devices.stage.fault = "pan: no reference position"
+    checks = {check.name: check for check in check_readiness(session)}
+    assert checks["stage: faults"].verdict == "open"
+    assert checks["stage: faults"].remedy == "Press Home."
+
+
 def test_a_device_that_does_not_answer_is_red_and_the_others_are_checked(opened):
     session, devices = opened
 
@@ -121,6 +139,12 @@ def test_hands_do_only_what_hands_can_do(action, numbers):
     assert bench.orders == []
 
 
+@pytest.mark.parametrize("answer", ["", '{"ok": false, "error": "f_number must be above 0"}'])
+def test_a_refused_order_is_said(answer):
+    with pytest.raises(ControlRefused, match=r"did not answer|f_number"):
+        SimulatedHands(Simulation(answer)).do("lens aperture", {"f_number": 0.0})
+
+
 def test_a_sequence_is_planned_and_its_light_compared_with_the_present_one(opened, monkeypatch):
     session, _ = opened
     session.light(on=True, frequency_hz=60.0)
@@ -135,3 +159,13 @@ def test_a_sequence_is_planned_and_its_light_compared_with_the_present_one(opene
     assert checks["light of the sequence"].verdict == "open"
     assert "square 60 Hz" in checks["light of the sequence"].found
     assert "square 80 Hz" in checks["light of the sequence"].found
+
+
+def test_a_sequence_that_cannot_run_is_red(opened, tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        "format: starbench/sequence/1\nname: far\nsteps: [light, {move: {pan_deg: 99}}, record]\n"
+    )
+    checks = {check.name: check for check in check_readiness(opened[0], sequence=str(path))}
+    assert checks["sequence"].verdict == "bad"
+    assert "99" in checks["sequence"].found

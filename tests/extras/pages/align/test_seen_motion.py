@@ -49,6 +49,14 @@ def test_a_single_jog_is_enough_for_a_camera_on_its_side():
     assert np.abs(np.array(tag_px(wrong, 90.0)) - MIDDLE).max() > 100.0
 
 
+def test_an_upright_camera_keeps_the_signs_of_the_bench():
+    motion, reading = SeenMotion(), {"pan": 0.0, "tilt": 0.0}
+    for pan, tilt in ((0, 0), (2, 0), (2, 2), (0, 2), (-3, 2)):
+        reading = {"pan": float(pan), "tilt": float(tilt)}
+        motion.add(reading, tag_px(reading, 10.0), FOCAL)  # rolled by the 10 degrees that the advice asks for
+    assert motion.turn(tag_px(reading), SIZE, FOCAL) is None
+
+
 def test_what_is_no_motion_of_one_axis_teaches_nothing():
     motion = SeenMotion()
     assert motion.turn((0.0, 0.0), SIZE, FOCAL) is None

@@ -11,8 +11,11 @@ from align_fakes import fake_session
 from fake_devices import FakeDevices
 from waiting import wait_until
 
+from bench.base.errors import ScriptError
 from bench.extras.pages.align import serve
+from bench.stations.station import SHIPPED_STATIONS
 from drivers.errors import CameraBusy
+from sequences.errors import DocumentFaults
 
 
 @pytest.fixture
@@ -79,6 +82,21 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(aligned, capsy
     ]
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_does_not_break_off_the_leaving(aligned, number):
+    session, devices = fake_session()
+    real = devices.light.off
+
+    def off():
+        os.kill(os.getpid(), number)
+        real()
+
+    devices.light.off = off
+    assert aligned(session, lambda: session.is_open) == 0
+    assert devices.light.calls[-1] == "off"
+    assert devices.closed
+
+
 def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(aligned, capsys):
     session, devices = fake_session()
     devices.stage.stop_fails = True
@@ -109,3 +127,18 @@ def test_the_page_answers_while_the_devices_open(aligned, monkeypatch):
 
     aligned(session, lambda: urls and session.state()["devices"]["state"] == "opening", look)
     assert answers == ["opening"]
+
+
+def test_a_station_with_a_scale_that_nobody_filled_in_is_refused(tmp_path):
+    path = tmp_path / "bench.yaml"
+    text = (SHIPPED_STATIONS / "simulated.yaml").read_text()
+    path.write_text(text.replace("microsteps_per_deg: 6400", "microsteps_per_deg: ASK-THE-DATA-SHEET", 1))
+    with pytest.raises(ScriptError, match="microsteps_per_deg"):
+        serve.make_session(str(path))
+
+
+def test_a_station_without_a_light_is_named_before_anything_opens(tmp_path):
+    path = tmp_path / "bench.yaml"
+    path.write_text("format: starbench/station/1\nname: A\n")
+    with pytest.raises(DocumentFaults, match="light"):
+        serve.make_session(str(path))

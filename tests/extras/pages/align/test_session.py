@@ -1,15 +1,20 @@
 """The align session with fakes: who may move what, and that a stop, a lost page and the end leave the bench safe."""
 
+import dataclasses
 import threading
 import time
 
 import pytest
 from align_fakes import fake_session
-from fake_devices import FakeDevices
+from fake_devices import FakeCamera, FakeDevices, FakeStage
 from waiting import wait_until
 
 from bench.base.errors import ControlRefused
-from bench.extras.pages.align.live_figures import LiveMeter
+from bench.extras.pages.align import live_loop
+from bench.extras.pages.align.controls import StageControl
+from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter
+from bench.extras.pages.align.live_image import SignalFigures
+from bench.extras.pages.align.live_loop import with_signal_of
 from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
 
 
@@ -41,6 +46,20 @@ def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened, 
     devices.stage.homed = False
     session.bench.stage.look()
     assert session.bench.stage.known_deg() == {}
+
+
+def test_pictures_come_and_no_slice_is_left(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 5)
+    picture = session.picture()
+    assert picture.number >= 5
+    assert picture.jpeg[:2] == b"\xff\xd8"
+    assert picture.figures.to_json()["time_s"] > 0
+    folder = devices.camera.paths[0].parent
+    assert len(list(folder.iterdir())) <= 3
+    assert folder.stat().st_mode & 0o077 == 0
+    session.close()
+    assert not folder.exists()
 
 
 def test_a_jog_moves_one_axis_and_steps_add_up(opened):
@@ -103,6 +122,17 @@ def test_a_stop_reaches_the_stage_at_once_and_drops_what_waits(opened):
     assert devices.stage.at["pan"] < 3
 
 
+def test_a_stop_just_after_a_jog_leaves_nothing_moving(opened):
+    session, devices = opened
+    for _ in range(30):
+        session.bench.stage.move_by({"pan": 0.2 if devices.stage.at["pan"] < 5 else -5.0})
+        session.stop()
+        assert not session.bench.stage.moving
+        before = dict(devices.stage.at)
+        time.sleep(0.01)
+        assert devices.stage.at == before
+
+
 def test_a_move_that_begins_just_after_a_stop_is_stopped_too(opened):
     session, devices = opened
     real, entered = devices.stage.move_to, threading.Event()
@@ -146,6 +176,17 @@ def test_a_page_that_is_lost_stops_its_motion_within_a_second(opened):
     _rest(session)
     assert devices.stage.at["pan"] < 10
     wait_until(lambda: "is gone" in session.state()["messages"][-1]["text"])
+
+
+def test_a_page_that_beats_is_left_alone(opened):
+    session, devices = opened
+    session.owners.enter("page-one", "Chrome")
+    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    session.bench.stage.move_by({"pan": 4.0, "tilt": 1.0}, "page-one")
+    for _ in range(12):
+        session.owners.beat("page-one")
+        time.sleep(0.1)
+    assert "stop" not in devices.stage.calls
 
 
 def test_the_light_is_read_back_and_its_range_is_kept(opened):
@@ -231,6 +272,16 @@ def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opene
     assert not session.is_open
 
 
+def test_a_camera_that_was_lost_confirms_nothing():
+    session, devices = fake_session()
+    session.open()
+    devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+    wait_until(lambda: session.state()["camera"]["failure"] is not None)
+    camera = session.close()[-1]
+    assert camera.state == "not confirmed"
+    assert "the cable is out" in camera.text
+
+
 def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
     answers = [CameraBusy("another program holds it.", where="camera", remedy="Close that program."), None]
 
@@ -249,6 +300,44 @@ def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
         session.bench.stage.move_by({"pan": 0.1})
     assert session.reopen() is None
     session.close()
+
+
+def test_a_device_that_fails_during_opening_closes_the_others():
+    devices = FakeDevices()
+    devices.camera.identify = lambda: (_ for _ in ()).throw(CameraLost("gone.", where="camera"))
+    session, _ = fake_session(devices)
+    assert session.open().kind == "CameraLost"
+    assert devices.closed
+
+
+def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
+    monkeypatch.setattr(live_loop, "SIGNAL_EVERY_S", 0.5)
+    monkeypatch.setattr(live_loop, "SHORTEST_S", 0.02)
+    session, devices = opened
+    lengths = []
+    record = devices.camera.record
+
+    def noted(path, duration_s):
+        lengths.append(round(duration_s * 60))
+        return record(path, duration_s)
+
+    devices.camera.record = noted
+    session.light(on=True, frequency_hz=60.0)
+    wait_until(lambda: lengths.count(4) >= 2, 9.0)
+    assert set(lengths[1:]) == {1, 4}
+    assert lengths.count(1) > 3 * lengths.count(4)
+    first = lengths.index(4)
+    assert 1 not in lengths[1:first]  # the first slice after a change of the light shows the flicker
+
+
+def test_a_short_slice_keeps_the_flicker_of_the_last_longer_one():
+    short = LiveFigures(time_s=2.0, signal=SignalFigures(on_share=0.4))
+    longer = LiveFigures(
+        time_s=1.0, signal=SignalFigures(sync_edges=8, trigger_hz=50.0, jitter_us=0.5, sync_fault="odd")
+    )
+    shown = with_signal_of(short, longer)
+    assert shown.time_s == 2.0
+    assert shown.signal == dataclasses.replace(longer.signal, on_share=0.4)
 
 
 class LateStage:
@@ -305,3 +394,35 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
 
 def messages_of(session):
     return " ".join(message["text"] for message in session.state()["messages"])
+
+
+def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
+    stage, states = FakeStage(), []
+    control = StageControl(stage, lambda: states.append(control.state), lambda _words: None)
+    control.look(thoroughly=True)
+    stage.fault, stage.faults = "the motor is stuck", list
+    control.home()
+    wait_until(lambda: states[-1].failure is not None and states[-1].work is None)
+    control.close()
+    assert "the motor is stuck" in states[-1].failure.what
+
+
+class ReadingCamera(FakeCamera):
+    """A camera that reads all its biases back."""
+
+    def apply(self, settings):
+        return dataclasses.replace(settings, biases={"bias_fo": 0, "bias_hpf": 0} | dict(settings.biases))
+
+
+def test_a_changed_bias_is_shown_beside_that_of_the_station_file():
+    devices = FakeDevices()
+    devices.camera = ReadingCamera()
+    session, _ = fake_session(devices)
+    assert session.open() is None
+    try:
+        session.bench.camera.set_bias("bias_fo", 7)
+        shown = {bias["name"]: bias for bias in session.state()["camera"]["biases"]}
+        assert (shown["bias_fo"]["value"], shown["bias_fo"]["expected"]) == (7, 0)
+        assert (shown["bias_hpf"]["value"], shown["bias_hpf"]["expected"]) == (0, 0)
+    finally:
+        session.close()

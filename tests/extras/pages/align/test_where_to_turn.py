@@ -8,6 +8,7 @@ import pytest
 from bench.extras.pages.align.live_image import LiveSetting
 from bench.extras.pages.align.where_to_turn import (
     rim_poses,
+    roll_by_deg,
     turn_to_centre,
     where_to_turn,
 )
@@ -67,6 +68,18 @@ def test_figures_of_a_picture_off_centre():
     assert again.roll_by_deg == 0.0
 
 
+def test_the_beam_alone_shows_where_to_turn():
+    truth = bench(circle_px=26.0)
+    reading = {"pan": 9.0}
+    image = fired(seen(truth, **reading))
+    turn = where_to_turn(SIZE, find_beam(image), None, *known_bench(focal_px=3300.0, reading_deg=reading))
+    assert turn.of == "beam"
+    assert turn.pan == pytest.approx(-9.0, abs=1.0)
+    assert turn.pan == round(turn.pan)
+    assert turn.tag_off is None
+    assert turn.roll_deg is None
+
+
 def test_a_turn_beyond_a_limit_is_named():
     known = known_bench(
         focal_px=3300.0, reading_deg={"pan": 14.0}, limits_deg={"pan": (-15.0, 15.0), "tilt": (-10.0, 10.0)}
@@ -75,6 +88,14 @@ def test_a_turn_beyond_a_limit_is_named():
     turn = where_to_turn(SIZE, beam, None, *known)
     assert turn.pan > 0
     assert turn.beyond == {"pan": pytest.approx(14.0 + turn.pan)}
+
+
+@pytest.mark.parametrize("roll", np.linspace(-22.4, 22.4, 57))
+def test_the_wanted_roll_is_far_from_the_pixels(roll):
+    by = roll_by_deg(roll)
+    after = (roll + by + 22.5) % 45.0 - 22.5
+    assert abs(after) >= 4.9
+    assert abs(by) <= 10.0
 
 
 def test_the_poses_said_show_the_rim():

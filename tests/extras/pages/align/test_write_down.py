@@ -1,6 +1,7 @@
 """Writing into station and sequence files: only what changed changes, comments stay, and nothing is written unseen."""
 
 import shutil
+import stat
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,47 @@ def test_zero_biases_and_light_change_only_their_own_lines(station):
     assert after.camera.biases.bias_fo == -5
 
 
+def test_a_copy_of_a_practice_bench_keeps_what_the_hands_have_set(tmp_path):
+    source = SHIPPED_STATIONS / "simulated_unaligned.yaml"
+    seen = {"focus_distance_m": 3.86123, "f_number": 2.8, "turn_deg": [0.0, 0.0, 10.0], "ring_deg": 8.9}
+    values, notes = station_values(load_station(str(source)).value, hands=seen)
+    assert any("Lens and mount" in note for note in notes)
+    proposal = propose_values(source, values, Station, target=tmp_path / "mine.yaml")
+    proposal.write(proposal.mark)
+    simulation = load_station(str(tmp_path / "mine.yaml")).value.simulation
+    assert float(simulation["lens"]["focus_distance_m"]) == pytest.approx(3.86123)
+    assert [float(angle) for angle in simulation["mount"]["turn_deg"]] == [0.0, 0.0, 10.0]
+    infinity, _ = station_values(
+        load_station(str(source)).value, hands={**seen, "focus_distance_m": "infinity"}
+    )
+    assert infinity["simulation", "lens", "focus_distance_m"] == "infinity"
+
+
+def test_writing_twice_from_one_pose_changes_nothing_more(station):
+    before = load_station(str(station)).value  # the devices were opened with this
+    values, _ = station_values(before, position_deg={"pan": 2.0})
+    first = propose_values(station, values, Station)
+    first.write(first.mark)
+    assert propose_values(station, values, Station).difference == ""
+
+
+def test_a_file_without_the_keys_gets_them_inside_their_sections(tmp_path):
+    path = tmp_path / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
+    values, _ = station_values(
+        load_station(str(path)).value, position_deg={"tilt": 0.5}, biases={"bias_fo": 3}, level_percent=100
+    )
+    proposal = propose_values(path, values, Station)
+    assert sorted(_changed(proposal)) == [
+        "+      limits_deg: [-10.5, 9.5]",
+        "+      zero_deg: -0.5",
+        "+  biases: {bias_fo: 3}",
+        "-      limits_deg: [-10, 10]",
+    ]
+    proposal.write(proposal.mark)
+    assert load_station(str(path)).value.camera.biases.bias_fo == 3
+
+
 @pytest.mark.parametrize("name", sorted(path.name for path in SEQUENCES.glob("*.yaml")))
 def test_a_pose_is_added_to_every_shipped_sequence_without_changing_another_line(tmp_path, name):
     path = tmp_path / name
@@ -64,6 +106,14 @@ def test_a_pose_is_added_to_every_shipped_sequence_without_changing_another_line
     assert "{name: centre, pan_deg: 1.25, tilt_deg: -3}" in changed[-1]
     proposal.write(proposal.mark)
     read_document(path, Sequence)
+
+
+def test_a_grid_takes_no_single_pose(tmp_path):
+    path = tmp_path / "nine.yaml"
+    shutil.copy(SEQUENCES / "nine_pose.yaml", path)
+    with pytest.raises(ControlRefused, match="are a grid"):
+        propose_pose(path, {"pan": 1.0}, poses="nine")
+    assert "No step of this sequence uses" in propose_pose(path, {"pan": 1.0}).notes[0]
 
 
 def test_all_text_keeps_its_form(tmp_path):
@@ -112,9 +162,25 @@ def test_a_shipped_file_is_only_copied(tmp_path):
         copy.write(copy.mark)
 
 
+def test_the_mode_of_a_file_stays(station):
+    station.chmod(0o640)
+    values = {("light", "high_v"): "2"}
+    proposal = propose_values(station, values, Station)
+    proposal.write(proposal.mark)
+    assert stat.S_IMODE(station.stat().st_mode) == 0o640
+    assert [path.name for path in station.parent.iterdir()] == ["bench.yaml"]
+
+
 def test_an_axis_outside_its_limits_cannot_become_zero(station):
     with pytest.raises(ControlRefused, match="outside its limits"):
         station_values(load_station(str(station)).value, position_deg={"pan": 13.0})
+
+
+def test_exposure_and_gain_of_a_frame_camera_are_written(tmp_path):
+    path = tmp_path / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated_frames.yaml", path)
+    values, _ = station_values(load_station(str(path)).value, frame={"exposure": -6.5, "gain": None})
+    assert _changed(propose_values(path, values, Station)) == ["+  exposure: -6.5"]
 
 
 def test_the_light_goes_into_the_defaults_of_the_sequence(tmp_path):

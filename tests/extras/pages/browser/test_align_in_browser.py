@@ -101,6 +101,24 @@ def test_on_a_phone_nothing_scrolls_inside_a_box_and_ready_names_what_is_not(chr
     page.close()
 
 
+def test_before_home_the_page_turns_to_no_angle_and_writes_none(chromium, bench):
+    server, session, devices = bench
+    devices.stage.homed = False
+    page = Tab(chromium, server.url)
+    page.wait_text("#stage-state", "not homed")
+    page.wait_text("#whole", "Stage")
+    page.wait_text("#turn-note", "Press Home first")
+    assert page.tab.is_disabled("#turn-there")
+    assert page.tab.is_disabled("[name=what][value=zero]")
+    assert page.tab.is_disabled("#propose-pose")
+    assert not page.tab.is_disabled("#propose")  # biases and level need no angle
+    page.tab.click("#home")
+    page.tab.click("#home-now")
+    page.wait("!document.querySelector('[name=what][value=zero]').disabled")
+    assert session.bench.stage.state.homed
+    page.close()
+
+
 @pytest.mark.parametrize(("width", "height"), [(1400, 1000), (390, 844)], ids=["desk", "phone"])
 def test_the_picture_stays_in_view_and_stop_is_never_covered(chromium, bench, width, height):
     server, session, _ = bench

@@ -15,7 +15,11 @@ from click.testing import CliRunner
 from journals import MadeRun
 from running import STARBENCH, called, environment, start
 
+from bench.base.clock import BenchClock
 from bench.commands.cli import cli
+from bench.run.wiring import check_wiring
+from bench.stations.devices import Devices
+from bench.stations.station import load_station
 
 TOKEN = "0123456789abcdef"
 
@@ -105,6 +109,38 @@ def test_it_prints_its_ports_obeys_orders_and_leaves_nothing_behind(simulated):
 
 
 # ---------------------------------------------------------------- wiring
+
+
+@pytest.mark.slow
+def test_each_fault_of_the_cable_is_named():
+    clock, station = BenchClock(), load_station("simulated").value
+    devices = Devices(station, seed=1, clock=clock, wire_log=None)
+    faults_of = {}
+    try:
+        for fault in (
+            "",
+            "no_sync",
+            "sync_inverted",
+            "sync_channel factor=1",
+            "sync_weak factor=0.3",
+            "lamp_open",
+        ):
+            if fault:
+                devices.simulation.order(f"light {fault}")
+            report = check_wiring(devices, station, clock)
+            assert not devices.light.is_on()
+            faults_of[fault.split(" ")[0]] = [named.name for named in report.faults]
+            devices.simulation.order("light mend")
+    finally:
+        devices.close()
+    assert faults_of == {
+        "": [],
+        "no_sync": ["trigger cable missing"],
+        "sync_inverted": ["inverted"],
+        "sync_channel": ["wrong channel"],
+        "sync_weak": ["sync level"],
+        "lamp_open": ["no light"],
+    }
 
 
 def test_the_light_stays_dark_where_nobody_can_be_asked():

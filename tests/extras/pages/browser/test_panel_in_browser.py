@@ -140,6 +140,19 @@ def test_the_list_shows_what_changes_in_every_tab_also_after_the_panel_began_ane
             assert "run7" in tab.inner_text("#groups")
 
 
+def test_the_page_of_a_batch_names_the_goal_that_a_run_missed(tmp_path, tabs):
+    batch = made_batch(tmp_path / "night")
+    run = MadeRun(batch.folder / "runs" / "cam-001").begin()
+    batch.write("item_begun", item="cam-001", again=False, attempt=1, recorded=0)
+    why = "U(fx) is 3 px; the goal is 2 px."
+    run.write("until_decided", until=2, until_last=9, step=5, ended="at_most", why=why)
+    run.end()
+    batch.write("item_ended", item="cam-001", how="finished", why="", noticed_s=0.0, unsafe=[])
+    with served(panel_app(tmp_path)) as server:
+        tab = tabs.open(f"{server.url}batch/night")
+        wait_text(tab, "#done", f"The goal of a step was not met. {why}")
+
+
 CAUSE = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
 
 
@@ -162,6 +175,22 @@ def test_a_batch_and_a_run_show_what_a_person_did_and_are_not_green(tmp_path, ta
         wait_text(tab, "#calibrated", "This computer stood still for 60 s")
         assert tab.query_selector("#calibrated.warn")
         assert not tab.is_visible("#leave")
+
+
+def test_a_batch_with_two_results_shows_how_they_agree_and_lists_both(tmp_path, tabs):
+    batch = made_batch(tmp_path / "night", jobs=("left", "right"))
+    for job, fx_px in (("left", 3345.0), ("right", 3345.4)):
+        run = MadeRun(batch.folder / "runs" / f"{job}-001").begin().record_all()
+        batch.write("item_begun", item=f"{job}-001", again=False, attempt=1, recorded=0)
+        numbers = {"values": {"fx": fx_px}, "sigma": {"fx": 0.6}}
+        run.write("solved", model="spherical", converged=True, rms_px=0.08, **numbers)
+        run.end()
+        batch.write("item_ended", item=f"{job}-001", how="finished", why="", noticed_s=0.0, unsafe=[])
+    with served(panel_app(tmp_path)) as server:
+        tab = tabs.open(f"{server.url}batch/night")
+        wait_text(tab, "#cameras", "agrees within its U")
+        wait_text(tab, "#done", "left-001")
+        wait_text(tab, "#done", "right-001")
 
 
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
@@ -237,6 +266,17 @@ def test_another_server_of_this_computer_gets_no_cookie_of_the_panel(run, tabs):
                 tab.context.new_page().goto(f"http://{host}:{port}/")
     assert cookies
     assert set(cookies) == {""}
+
+
+@pytest.mark.parametrize(
+    "elsewhere", ["/%09/127.0.0.1:9/x", "//127.0.0.1:9/x", "/%5C127.0.0.1:9/x", "javascript:1"]
+)
+def test_a_sign_in_leads_to_pages_of_this_server_only(run, tabs, elsewhere):
+    token = "0123456789abcdef"
+    with served(panel_app(run.folder.parent), token=PageToken(token)) as server:
+        tab = tabs.open(f"{server.url}sign-in?next={elsewhere}#token={token}")
+        tab.wait_for_url(lambda url: "/sign-in" not in url, timeout=1000 * PATIENCE_S)
+        assert re.match(r"http://starbench-[0-9a-f]{16}\.localhost:", tab.url)
 
 
 @pytest.mark.slow

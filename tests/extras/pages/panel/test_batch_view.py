@@ -12,10 +12,11 @@ from bench.extras.pages.panel import batch_view
 from bench.extras.pages.panel.batch_view import BatchView
 from bench.extras.pages.panel.helper_process import (
     ForecastRequest,
+    answer_request,
     picture_of_view,
     smooth_residuals,
 )
-from bench.extras.pages.panel.watching import Helper
+from bench.extras.pages.panel.watching import Helper, forecast_poses
 from bench.measure.measure import StoredImage
 from bench.run.last_view import LastView
 
@@ -40,6 +41,11 @@ def test_a_batch_is_told_again_only_when_something_is_new(batch, monkeypatch):
     worst = content["items"][0]
     assert (worst["item"], worst["how"], worst["why"]) == ("one-001", "failed", "no light")
     assert content["status"]["running"] is False
+
+
+def test_a_damaged_batch_says_so(batch):
+    batch.path.write_bytes(batch.path.read_bytes().replace(b"Night", b"Day!!"))
+    assert "does not match its hash" in json.loads(BatchView(batch.folder).text()[0])["fault"]
 
 
 def test_failures_come_first_and_what_has_not_begun_last(batch, monkeypatch):
@@ -90,6 +96,18 @@ def test_the_picture_that_a_run_left_is_shown_with_its_stars():
     json.dumps(picture, allow_nan=False)
     nothing = picture_of_view(LastView(1, 1, [], [], "no stars", png))
     assert (nothing["stars"], nothing["residuals"], nothing["fault"]) == ([], None, "no stars")
+
+
+def test_one_request_that_fails_does_not_end_the_others(tmp_path):
+    answer = answer_request(ForecastRequest(tmp_path, 1))
+    assert isinstance(answer, str)
+    assert "there is no such file" in answer
+
+
+def test_the_plan_is_forecast_as_a_whole_first():
+    assert forecast_poses(1) == [1]
+    assert forecast_poses(10_000)[0] == 60
+    assert len(forecast_poses(10_000)) <= 8
 
 
 def test_a_killed_helper_is_started_again(tmp_path, children):

@@ -9,6 +9,7 @@ import pytest
 from journals import MadeRun, made_batch
 
 from bench.base.errors import RunFolderError
+from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.extras.pages.panel.folder_list import FolderList
 from bench.record.folder_lock import lock_folder
 
@@ -78,6 +79,42 @@ def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
     assert listing["batches"][0]["ended_utc"] == ""
 
 
+@pytest.fixture
+def begun(tmp_path):
+    """A batch whose only run has begun, and the name of the run."""
+    batch = made_batch(tmp_path / "night")
+    (name,) = (run.item for run in read_batch_status(batch.folder).upcoming)
+    batch.write("item_begun", item=name, again=False, attempt=1, recorded=0)
+    return batch, name
+
+
+def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path, begun):
+    batch, name = begun
+    batch.write("item_ended", item=name, how="finished", why="", noticed_s=0.0, unsafe=[])
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == ""
+    last = read_batch_status(batch.folder).last_end
+    batch.write("batch_ended", how="finished", why="")
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == last.isoformat()
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_batch_with_a_simulated_run_is_marked(tmp_path, begun, simulated):
+    batch, name = begun
+    plan = MadeRun(batch.folder / "runs" / name).folder / "plan.json"
+    plan.write_text(json.dumps({**json.loads(plan.read_text()), "simulated": simulated}))
+    assert _look(tmp_path)["batches"][0]["simulated"] is simulated
+    assert ("SIMULATED" in batch_status_text(read_batch_status(batch.folder))) is simulated
+
+
+def test_a_damaged_batch_does_not_hide_the_runs(tmp_path):
+    MadeRun(tmp_path / "a").begin()
+    broken = MadeRun(tmp_path / "night")
+    (broken.folder / "queue.yaml").write_text("nonsense: [")
+    listing = _look(tmp_path)
+    assert [row["key"] for row in listing["runs"]] == ["a"]
+    assert "queue.yaml cannot be read" in listing["faults"][0]
+
+
 def test_a_folder_that_refuses_is_named(tmp_path, monkeypatch):
     (tmp_path / "secret").mkdir()
     MadeRun(tmp_path / "a").begin()
@@ -113,3 +150,18 @@ def test_of_very_many_runs_some_are_read_at_each_look_until_all_are_listed(tmp_p
     listed = FolderList(tmp_path)
     looks = [listed.look() for _ in range(3)]
     assert [(len(listing["runs"]), listing["unread"]) for listing in looks] == [(2, 3), (4, 1), (5, 0)]
+
+
+def test_a_run_that_another_replaces_in_its_folder_is_read_again(tmp_path):
+    old, new = (
+        MadeRun(tmp_path / "a").begin().end(),
+        MadeRun(tmp_path / "away" / "b").begin().end("failed", "so"),
+    )
+    listed = FolderList(tmp_path)
+    assert {row["key"]: row["how"] if "how" in row else row["verdict"] for row in listed.look()["runs"]}["a"]
+    times = old.path.stat()
+    new.path.write_bytes(new.path.read_bytes())
+    os.utime(new.path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    new.path.rename(old.path)
+    row = next(row for row in listed.look()["runs"] if row["key"] == "a")
+    assert row["why"] == "so"

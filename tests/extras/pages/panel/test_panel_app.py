@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from contextlib import contextmanager
 
@@ -10,10 +11,13 @@ import httpx
 import pytest
 from journals import MadeRun, at_work
 from pages import served
+from waiting import wait_until
 
 from bench.base.clock import Aborted
 from bench.extras.pages.panel.journal_tail import JournalTail
 from bench.extras.pages.panel.panel_app import Panel, panel_app
+from bench.extras.pages.web.token import PageToken
+from bench.record.events import Asked
 from bench.record.journal import read_journal
 
 PATIENCE_S = 20.0
@@ -110,6 +114,18 @@ def test_a_reader_that_comes_back_misses_nothing_and_gets_nothing_twice(run, ser
         assert {row["number"] for message in later for row in message["rows"]} == {2, 3}
 
 
+def test_a_page_of_another_run_or_a_longer_journal_is_told_everything(run, server):
+    with streamed(server, "api/run/run7/events", after=100_000) as stream:
+        assert stream.next()["reset"]
+
+
+def test_the_end_of_a_process_is_told_although_the_journal_is_silent(run, server):
+    with at_work(run), streamed(server, "api/run/run7/events") as stream:
+        assert stream.until(lambda m: m["head"]["running"])[-1]["head"]["verdict"] == "running"
+    with streamed(server, "api/run/run7/events") as stream:
+        assert stream.until(lambda m: not m["head"]["running"])[-1]["head"]["verdict"] == "interrupted"
+
+
 def test_twenty_pages_read_the_journal_once(run, monkeypatch):
     panel = Panel(run.folder.parent)
     with served(panel.app()) as server:
@@ -130,6 +146,12 @@ def test_twenty_pages_read_the_journal_once(run, monkeypatch):
         finally:
             for answer in answers:
                 answer.__exit__(None, None, None)
+
+
+def test_a_log_is_told_backwards(run, server):
+    log = httpx.get(f"{server.url}api/run/run7/log?before=4").json()["log"]
+    assert [entry["line"] for entry in log] == [1, 2]
+    assert httpx.get(f"{server.url}api/run/run7/log?before=x").status_code == 400
 
 
 def test_an_address_of_no_run_is_one_clear_error(server):
@@ -186,6 +208,15 @@ def test_a_hold_and_a_release_reach_the_run_with_the_name(run, server):
     ]
 
 
+def test_the_journal_says_whether_the_sender_had_the_token(run):
+    for token, known_by in ((None, "typed"), (PageToken("0123456789abcdef"), "token")):
+        signed = {"Authorization": f"Bearer {token.text}"} if token is not None else {}
+        with served(panel_app(run.folder.parent), token=token) as server, at_work(run):
+            assert _post(server, {"word": "hold", "by": "Ada"}, **signed).json()["taken"]
+        newest = [entry.data for entry in read_journal(run.path)[0] if entry.event == "commanded"][-1]
+        assert (newest["by"], newest["known_by"]) == ("Ada", known_by)
+
+
 def test_a_link_out_of_the_folder_is_not_followed_and_named(run, server, tmp_path):
     outside = MadeRun(tmp_path / "elsewhere" / "secret").begin()
     outside.record_all().end()
@@ -213,6 +244,19 @@ def test_an_abort_needs_two_steps(run, server):
         assert _post(server, {"word": "abort", "by": "Ada", "confirm": "abort"}).json()["taken"]
         with pytest.raises(Aborted, match="abort by Ada"):
             clock.sleep(5.0)  # the answer may be here before the clock has been told
+
+
+def test_a_question_is_answered(run, server):
+    with at_work(run) as (log, _):
+        log.write(Asked, step=1, text="Is it dark?", default="abort", timeout_s=60.0)
+        with streamed(server, "api/run/run7/events") as stream:
+            asked = stream.until(lambda m: m["head"]["question"])[-1]["head"]
+            assert asked["question"]["text"] == "Is it dark?"
+            assert asked["can"]["answer"]
+            assert _post(server, {"word": "answer", "answer": "continue", "by": "Ada"}).json()["taken"]
+            assert stream.until(lambda m: not m["head"]["can"]["answer"])
+        # The page may have read the journal before its writer has told itself.
+        wait_until(lambda: log.history.answer == ("continue", "Ada"))
 
 
 @pytest.mark.parametrize(
@@ -253,3 +297,13 @@ def test_the_panel_writes_nothing_but_commands(run, server):
     finally:
         run.folder.chmod(0o755)
     assert {path: path.stat().st_mtime_ns for path in run.folder.rglob("*")} == before
+
+
+def test_no_thread_and_no_process_remains(run, children):
+    before = set(threading.enumerate())
+    panel = Panel(run.folder.parent)
+    with served(panel.app()) as server, streamed(server, "api/run/run7/events") as stream:
+        stream.next()
+    left = {thread for thread in set(threading.enumerate()) - before if thread.name == "journals"}
+    assert not left
+    assert all(child.poll() is not None for child in children)

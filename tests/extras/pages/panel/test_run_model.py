@@ -8,7 +8,8 @@ from datetime import datetime, timedelta
 import pytest
 from journals import BEGIN, MadeRun
 
-from bench.extras.pages.panel.run_head import ProcessState, head_of
+from bench.extras.pages.panel.journal_tail import read_final
+from bench.extras.pages.panel.run_head import ProcessState, head_of, look_at_process
 from bench.extras.pages.panel.run_model import RunModel
 
 RUNNING = ProcessState(running=True, takes_commands=True, free_bytes=10**12)
@@ -55,6 +56,22 @@ def test_poses_follow_the_journal(run):
     assert (model.rows[2]["attempts"], model.rows[2]["why"]) == (2, "")
 
 
+def test_a_pose_is_at_work_until_the_next_one(run):
+    run.write(
+        "entering", state="slewing", **{"from": "homing"}, step=1, pose=1, pose_name="pose 1", target_deg={}
+    )
+    model = _read(run)
+    assert _states(model) == ["at work", "planned", "planned"]
+    run.write(
+        "entering", state="slewing", **{"from": "slewing"}, step=3, pose=2, pose_name="pose 2", target_deg={}
+    )
+    model.refresh()
+    assert _states(model) == ["planned", "at work", "planned"]
+    run.write("entering", state="parking", **{"from": "slewing"}, step=0)
+    model.refresh()
+    assert _states(model) == ["planned"] * 3
+
+
 def test_the_head_counts(run):
     run.record(1)
     run.record(2, accepted=False)
@@ -66,6 +83,17 @@ def test_the_head_counts(run):
     assert head["gate_failures"] == {"stars": 1}
     assert head["last"]["stored"]["light"]["frequency_hz"] == 60.0
     assert head["last"]["stored"]["measured_deg"] == {"pan": 0.02, "tilt": -0.02}
+
+
+def test_the_verdict_of_a_recording_is_never_that_of_another_one(run):
+    run.record(1)
+    lines = list(run.pose_lines(2, 1, True, 9))
+    with run.path.open("ab") as stream:
+        stream.writelines(lines[:5])  # stored, not checked yet
+    last = _head(run)["last"]
+    assert (last["stored"]["pose"], last["checked"]) == (2, None)
+    assert last["before"]["gates"][0]["value"] == 200
+    assert (last["before"]["pose"], last["before"]["attempt"]) == (1, 1)  # whose picture is shown meanwhile
 
 
 @pytest.mark.parametrize(
@@ -121,6 +149,16 @@ def test_a_killed_run_is_not_called_safe(run):
     assert "Its journal does not say how it left the bench" in head["leave"]["text"]
 
 
+def test_a_question_ahead_ends_the_time_alone(tmp_path):
+    run = MadeRun(tmp_path / "run", prompt=True).begin()
+    run.record(1)
+    leave = _head(run)["leave"]
+    assert not leave["safe"]
+    assert leave["until_utc"] > BEGIN.isoformat()
+    run.write("step_done", step=7)  # the question is answered
+    assert _head(run)["leave"]["safe"]
+
+
 @pytest.mark.parametrize(
     ("event", "text"),
     [
@@ -142,6 +180,12 @@ def test_a_silent_process_and_a_full_disk_need_a_person(run):
     assert "no sign of life for 40 s" in _head(run, silent)["leave"]["text"]
     full = ProcessState(running=True, takes_commands=True, free_bytes=10)
     assert "free" in _head(run, full)["leave"]["text"]
+
+
+def test_rejected_poses_in_a_row_need_a_person(run):
+    for pose in (1, 2, 3):
+        run.record(pose, accepted=False)
+    assert "last 3 poses were rejected" in _head(run)["leave"]["text"]
 
 
 @pytest.mark.parametrize("how", ["finished", "aborted", "failed"])
@@ -179,3 +223,38 @@ def test_before_the_first_steps_the_pace_is_that_of_earlier_runs_of_the_bench(tm
     for pose in (1, 2, 3, 4):
         run.record(pose)
     assert _read(run).time_left.pace == pytest.approx(0.6)
+
+
+def test_a_line_of_another_version_is_named(run):
+    run.write("attempt_checked", pose=1)
+    head = _head(run)
+    assert "Line 5 of the journal (attempt_checked) cannot be understood" in head["faults"][0]
+    assert _head(run, ProcessState())["verdict"] == "not readable"
+
+
+def test_without_a_plan_the_page_says_so(run):
+    (run.folder / "plan.json").write_text("{")
+    run.record(1)
+    head = _head(run)
+    assert "plan.json is damaged" in head["faults"][0]
+    assert head["left_s"] is None
+    assert head["accepted"] == 1
+
+
+def test_a_folder_without_a_process_is_looked_at(tmp_path):
+    run = MadeRun(tmp_path / "run").begin()
+    process = look_at_process(run.folder, "slewing")
+    assert process == ProcessState()
+    assert "No such file" in look_at_process(tmp_path / "none", "idle").fault
+
+
+def test_the_final_uncertainties_come_from_the_results(tmp_path):
+    assert read_final(tmp_path) == {}
+    results = {"calibration": {"coverage_factor": 2.1, "sigma": {"fx": 0.5}}}
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert read_final(tmp_path) == {"coverage_factor": 2.1, "expanded_fx_px": pytest.approx(1.05)}
+    results["projection"] = {"worst_corner": {"corner": "top left", "expanded_px": 0.4}}
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert read_final(tmp_path)["worst_corner_px"] == 0.4
+    (tmp_path / "results.json").write_text("[]")
+    assert read_final(tmp_path) == {}

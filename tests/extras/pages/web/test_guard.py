@@ -66,6 +66,10 @@ def test_a_command_from_another_origin_is_refused(origin):
     assert "does not come from a page of this server" in answer.json()["error"]["what"]
 
 
+def test_a_command_from_our_own_page_is_done():
+    assert _client().post("/do", headers={"Origin": "http://127.0.0.1:8800"}).text == "done"
+
+
 def test_every_answer_forbids_other_hosts():
     client = _client()
     for answer in (
@@ -78,6 +82,12 @@ def test_every_answer_forbids_other_hosts():
         assert "http" not in policy
         assert answer.headers["X-Content-Type-Options"] == "nosniff"
         assert answer.headers["Cache-Control"] == "no-store"
+
+
+def test_assets_are_served_and_asked_for_again():
+    answer = _client().get("/assets/bench.css")
+    assert answer.status_code == 200
+    assert answer.headers["Cache-Control"] == "no-cache"
 
 
 def _session_url(client: AppClient) -> str:
@@ -113,6 +123,16 @@ def test_a_browser_is_led_to_a_host_of_this_start_alone_and_keeps_path_and_port_
     assert moved[0] != moved[1]
 
 
+@pytest.mark.parametrize("name", ["127.0.0.1:8800", "localhost:8800", "starbench-0.localhost:8800"])
+def test_a_host_that_other_servers_share_gets_no_session(name):
+    client = _client(token=PageToken(TOKEN))
+    answer = client.post(
+        "/sign-in", json={"token": TOKEN}, headers={"Host": name, "Origin": f"http://{name}"}
+    )
+    assert answer.status_code == 421
+    assert "Set-Cookie" not in answer.headers
+
+
 def test_a_sign_in_keeps_a_random_session_that_does_not_come_from_the_token():
     client, own = _at_session_host()
     answer = client.post("/sign-in", json={"token": TOKEN}, headers=own)
@@ -124,6 +144,13 @@ def test_a_sign_in_keeps_a_random_session_that_does_not_come_from_the_token():
     again, _ = _at_session_host()  # the server was started again, with the same token: another session
     again.cookies = httpx.Cookies(dict(client.cookies))
     assert again.get("/").status_code == 401
+
+
+def test_a_server_for_others_signs_in_at_its_own_name():
+    client = _client(host="0.0.0.0", token=PageToken(TOKEN), url="http://192.168.1.7:8800")
+    answer = client.post("/sign-in", json={"token": TOKEN}, headers={"Origin": "http://192.168.1.7:8800"})
+    assert answer.status_code == 200
+    assert client.get("/").text == "first page"
 
 
 @pytest.mark.parametrize("body", [b'{"token": "wrong"}', b"{}", b'{"token": 7}'])
@@ -179,6 +206,12 @@ def test_nobody_can_shut_out_others_by_wrong_guesses_of_a_token_that_was_made():
     client, _ = _at_session_host(token=PageToken(TOKEN, made=True))
     assert {_signs_in(client, "no") for _ in range(20)} == {403}
     assert _signs_in(client, TOKEN) == 200
+
+
+def test_an_unknown_page_is_an_error_in_the_common_shape():
+    answer: httpx.Response = _client().get("/nowhere")
+    assert answer.status_code == 404
+    assert answer.json()["error"]["what"] == "There is no such page."
 
 
 # ---------------------------------------------------------------- the token

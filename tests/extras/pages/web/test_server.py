@@ -106,6 +106,11 @@ def test_a_port_in_use_is_one_clear_error():
             PageServer(_Counter().app(), port=port)
 
 
+def test_an_address_of_another_computer_is_one_clear_error():
+    with pytest.raises(UsageError, match="This address cannot be used"):
+        PageServer(_Counter().app(), host="192.0.2.1", token=PageToken("0123456789abcdef"))
+
+
 def test_only_a_token_that_was_made_stands_in_the_printed_address_and_the_browser_gets_it_from_a_file(
     monkeypatch,
 ):
@@ -182,6 +187,16 @@ def test_who_is_signed_in_is_answered_while_strangers_hold_connections(monkeypat
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_stranger_who_is_refused_is_closed():
+    with (
+        served(_Counter().app(), token=PageToken("0123456789abcdef")) as server,
+        socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as stranger,
+    ):
+        stranger.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
+        answer = b"".join(iter(lambda: stranger.recv(65536), b""))
+        assert answer.startswith(b"HTTP/1.1 401")
+
+
 def test_no_header_gives_a_guesser_another_address():
     with served(_Counter().app(), token=PageToken("0123456789abcdef")) as server, httpx.Client() as client:
         guesses = [
@@ -191,6 +206,15 @@ def test_no_header_gives_a_guesser_another_address():
             for number in range(12)
         ]
     assert [guess.status_code for guess in guesses] == [401] * 10 + [429] * 2
+
+
+def test_a_server_for_others_says_that_the_line_is_not_encrypted_and_names_a_tunnel(capsys):
+    with served(_Counter().app(), host="0.0.0.0", token=PageToken("0123456789abcdef")) as server:
+        server.welcome(open_browser=False)
+    address, note = capsys.readouterr().out.splitlines()
+    assert address == server.address
+    assert "not encrypted" in note
+    assert f"ssh -L {server.port}:127.0.0.1:{server.port} " in note
 
 
 def _app_that_reads():

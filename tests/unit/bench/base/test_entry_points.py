@@ -61,3 +61,12 @@ def test_a_package_that_cannot_be_imported_is_named(install, capsys):
     assert "  broken" in out_of(capsys, "--help")
     with pytest.raises(ExtraMissing, match=r"needs the package lost\b"):
         load(SCHEMAS, "lost")
+
+
+def test_an_installation_older_than_its_source_says_how_to_renew_it(tmp_path, monkeypatch, capsys):
+    (tmp_path / "pyproject.toml").write_text(
+        '[project.entry-points."starbench.commands"]\n"new | A run | New." = "a:b"\n'
+    )
+    monkeypatch.setattr(module, "SOURCE", tmp_path)
+    assert "pip install --no-deps -e" in refusal(capsys, "new", status=2)
+    assert "No such command" in refusal(capsys, "newer", status=2)

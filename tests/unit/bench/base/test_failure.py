@@ -2,13 +2,15 @@
 
 import inspect
 import json
+import re
 from dataclasses import replace
 
 import pytest
 from json_form import with_json
+from quick_runs import END, THREE
 from rehearsed import Scene
 
-from bench.base.errors import BenchError, JournalBroken
+from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.base.failure import FORESEEN, Failure
 from bench.commands.run import show_run
 from bench.record.device_end import DeviceEnd
@@ -16,7 +18,8 @@ from bench.record.events import Event
 from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.runner import RunEnd
-from bench.run.status import line_text
+from bench.run.status import line_text, read_status
+from bench.run.steps_to_do import intentions
 from calib.errors import CalibrationError
 from drivers.errors import CameraLost, DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError
@@ -136,6 +139,43 @@ def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
     assert [device["state"] for device in run_end["devices"]] == ["confirmed safe"] * 3
     assert run_end["devices"][0]["said"].startswith("it confirmed the stop and reads pan ")
     assert run_end["devices"][1]["said"] == "it was read back as off"
+
+
+def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
+    end = RunEnd("failed", "the port is missing", tmp_path, None)
+    assert show_run(end) == 1
+    errors = capsys.readouterr().err
+    assert "Look at the bench: the stage may turn, and the light may be on." in errors
+    assert not re.search("moved nothing|may be moving", errors)
+
+
+def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_each_confirmed(
+    tmp_path, monkeypatch, capsys
+):
+    """The second time it said that no device was ready, and that the light may be on."""
+
+    def full(*_):
+        raise StorageError("The disk is full.", where="views.h5", remedy="Make room.")
+
+    monkeypatch.setattr("bench.batch.rehearsal.RehearsedResults.write", full)
+    scene = Scene(tmp_path, poses=THREE, end=END)
+    for opened, head in (
+        (True, "The bench is safe; each device confirmed it:"),
+        (False, "No device was needed. Each confirmed before that it was safe:"),
+        (False, "No device was needed. Each confirmed before that it was safe:"),
+    ):
+        end = scene.run()
+        assert (end.how, end.opened) == ("failed", opened)
+        assert [device.state for device in end.devices] == ["confirmed safe"] * 3
+        show_run(end)
+        errors = capsys.readouterr().err
+        assert head in errors.splitlines()
+        assert "Look at the bench" not in errors
+        assert [device["state"] for device in read_status(scene.folder).devices] == ["confirmed safe"] * 3
+    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    assert (
+        "(failed: views.h5: The disk is full. Make room). 3 of 3" in intentions(scene.task, history, None)[0]
+    )
 
 
 def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):

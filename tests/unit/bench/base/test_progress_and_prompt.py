@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from bench.base.clock import Aborted, BenchClock, VirtualClock
 from bench.base.progress import Progress, Reply, ask
@@ -15,6 +16,19 @@ from bench.base.progress import Progress, Reply, ask
 class Terminal(io.StringIO):
     def isatty(self):
         return True
+
+
+class Typed(Terminal):
+    """A terminal that no select takes, whose lines come as they are typed."""
+
+    def __init__(self, lines):
+        super().__init__()
+        self.lines, self.read = lines, 0
+
+    def readline(self):
+        line = self.lines.readline()
+        self.read += 1
+        return line
 
 
 def test_without_a_terminal_each_change_is_a_line_with_state_pose_and_time_left():
@@ -53,6 +67,17 @@ class Night(VirtualClock):
 
     def __init__(self):
         super().__init__(datetime(2026, 3, 1, 20, tzinfo=UTC))
+
+
+def test_a_shielded_clock_is_not_interrupted():
+    clock = BenchClock()
+    clock.request_stop("first reason")
+    clock.request_stop("second reason")
+    with clock.shielded():
+        clock.sleep(0.0)
+        clock.check()
+    with pytest.raises(Aborted, match="first reason"):
+        clock.check()
 
 
 def asked(terminal, *, default="abort", timeout_s=60.0, clock=None, say=lambda _: None, **more):
@@ -96,6 +121,11 @@ def test_an_answer_from_another_terminal_counts_at_once():
     assert messages[1:] == ["ada: continue"]
 
 
+@pytest.mark.usefixtures("selected")
+def test_the_default_counts_after_the_time_out_of_a_terminal_without_an_answer():
+    assert asked(Terminal(), default="continue", timeout_s=0.05) == ("continue", "time-out")
+
+
 ANSWERS = [("a\n", "abort"), ("continue\n", "continue"), ("what\nn\n", "abort"), ("what\nyes\n", "continue")]
 
 
@@ -106,12 +136,43 @@ def test_the_operators_word_counts_and_an_empty_line_is_the_default(selected, ty
     assert asked(selected[0], default=default) == (word or default, "operator")
 
 
+@pytest.mark.parametrize(("typed", "word"), ANSWERS)
+def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
+    # A StringIO is no file: select refuses it, as Windows' refuses the console.
+    assert asked(Terminal(typed), default="continue") == (word, "operator")
+
+
+@pytest.mark.parametrize("waits_for_terminals", [True, False])
+def test_a_terminal_that_was_closed_answers_nothing(request, waits_for_terminals):
+    terminal, messages = Terminal(""), []
+    if waits_for_terminals:
+        request.getfixturevalue("selected").append(terminal)
+    assert asked(terminal, timeout_s=1, say=messages.append) == ("abort", "time-out")
+    assert "`starbench tell 'runs/cam 7' yes` (or no)" in messages[-1]
+
+
+def test_what_a_thread_read_before_the_question_does_not_count():
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as lines, os.fdopen(writing, "w", buffering=1) as keyboard:
+        terminal = Typed(lines)
+        keyboard.write("y\n")
+        assert asked(terminal) == ("continue", "operator")
+        keyboard.write("y\n")
+        wait_until(lambda: terminal.read == 2, 30)
+        assert asked(terminal, timeout_s=0.5) == ("abort", "time-out")
+
+
 def test_what_was_typed_before_the_question_does_not_count():
     keyboard, screen = os.openpty()
     with os.fdopen(screen) as terminal:
         os.write(keyboard, b"y\n")
         assert asked(terminal, timeout_s=1) == ("abort", "time-out")
     os.close(keyboard)
+
+
+def test_without_standard_input_the_default_counts(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    assert asked(None, timeout_s=1, clock=Night()) == ("abort", "time-out")
 
 
 @pytest.mark.usefixtures("selected")
@@ -131,3 +192,16 @@ def test_a_terminal_that_has_gone_does_not_end_the_run():
     with Progress(total_s=5.0, poses=1, stream=Unplugged()) as progress:
         progress.show("recording", pose=1)
         progress.say("still here")
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+@pytest.mark.parametrize("state", ["aborting", "aborted", "failed"])
+def test_a_run_that_ends_early_has_no_remaining_time(monkeypatch, state, stream):
+    monkeypatch.setenv("TERM", "xterm")
+    shown = stream()
+    with Progress(total_s=90.0, poses=3, stream=shown) as progress:
+        progress.show(state, pose=2, detail="upper left")
+    assert state in shown.getvalue()
+    assert "pose 2 of 3 (upper left)" in shown.getvalue()
+    assert "left  " not in shown.getvalue().replace("upper left", "")
+    assert "1:30" not in shown.getvalue()

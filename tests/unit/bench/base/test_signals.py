@@ -42,6 +42,19 @@ def test_a_signal_at_any_moment_of_a_wait_stops_it():
     assert ended.stdout == "400\n", ended.stderr
 
 
+CUT_OFF = """
+import time
+from bench.base.clock import BenchClock
+BenchClock().in_parallel(lambda: (time.sleep(0.3), print("computed")))
+print("ends")
+"""
+
+
+def test_a_program_ends_after_the_work_that_its_clock_began():
+    ended = subprocess.run([sys.executable, "-c", CUT_OFF], capture_output=True, text=True, check=False)
+    assert ended.stdout == "ends\ncomputed\n", ended.stderr
+
+
 def test_the_first_signal_ends_a_long_wait():
     clock = BenchClock()
     timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM))
@@ -125,6 +138,25 @@ def test_an_interrupt_that_falls_into_clearing_up_is_raised_again_in_a_backgroun
     assert sys.unraisablehook is hook
 
 
+def test_being_ended_breaks_off_as_an_interrupt_does():
+    def work():
+        os.kill(os.getpid(), signal.SIGTERM)
+        threading.Event().wait(60)
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), reliable_interrupts():
+        work()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
+    with reliable_interrupts():
+        _cleared_up_with(ValueError)
+    assert [error.exc_type for error in unraisable] == [ValueError]
+
+
 # ---------------------------------------------------------------- output whose reader has gone
 
 PROGRAM = """
@@ -156,6 +188,34 @@ def test_the_work_goes_on_after_the_readers_of_its_output_have_gone(both):
     _, errors = process.communicate(b"begin\n")
     assert process.returncode == 7
     assert errors == (None if both else b"error 0\nerror 1\nerror 2\n")
+
+
+CLOSED = """
+import os, subprocess, sys
+from bench.base.lost_output import protect_output
+protect_output()
+print("line", flush=True)
+print("error", file=sys.stderr, flush=True)
+file = os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT)
+assert sys.stdin.read() == "", "something to read"
+subprocess.run([sys.executable, "-c", "import os; [os.fstat(n) for n in range(3)]"], check=True)
+sys.exit(file)
+"""
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-"])
+def test_a_stream_that_was_closed_before_the_start_takes_no_file_and_ends_no_work(tmp_path, closed):
+    words = ["sh", "-c", f'exec "$0" -c "$1" "$2" {closed}', sys.executable, CLOSED, str(tmp_path / "file")]
+    ended = subprocess.run(words, check=False, stdin=subprocess.DEVNULL, capture_output=True)
+    assert ended.returncode > 2, ended.stderr
+    assert (tmp_path / "file").read_bytes() == b""
+
+
+def test_a_reader_that_stays_gets_all():
+    output, errors = (process := started(subprocess.PIPE)).communicate(b"begin\n")
+    assert process.returncode == 8
+    assert output.splitlines()[-1] == b"a program that this one starts"
+    assert errors.count(b"error") == 3
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")

@@ -10,16 +10,17 @@ import pytest
 from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
 from bench.base.clock import Aborted
-from bench.base.errors import ScriptError, UsageError
+from bench.base.errors import RunFolderError, ScriptError, UsageError
 from bench.batch.batch import Batch, worker_command
 from bench.batch.batch_plan import plan_of, read_queue
 from bench.batch.batch_record import by_priority, items_of
-from bench.batch.batch_status import read_batch_status
+from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.batch.batch_summary import read_batch, summarise
 from bench.batch.supervisor import WorkerEnd
 from bench.record.events import Event
 from bench.record.journal import Journal, read_journal
 from bench.report.batch_page import render_batch
+from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 
@@ -74,6 +75,13 @@ def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
     batch.run()
     assert begun(workers) == ["run a-001", "run b-001", "run a-002", "run a-003"]
     assert [round(at_s) for _, _, at_s in workers.begun] == [0, 600, 3600, 7200]
+
+
+def test_seeds_of_repetitions_differ(tmp_path):
+    items = items_of(queue(("a", ", times: 2, seed: 7, operator: Ada")).value.jobs, NightClock().utc_now())
+    words = [worker_command(item, tmp_path / item.key) for item in items]
+    assert [w[w.index("--seed") + 1] for w in words] == ["7", "8"]
+    assert words[0][-2:] == ["--operator", "Ada"]
 
 
 def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path):
@@ -143,6 +151,12 @@ def test_a_folder_of_something_else_is_refused_and_stays_as_it_was(tmp_path):
     with pytest.raises(UsageError, match="it contains SHA256SUMS"):
         night(tmp_path, queue(("a", "")))[0].run()
     assert [path.name for path in tmp_path.iterdir()] == ["SHA256SUMS"]
+
+
+def test_another_queue_is_refused_in_a_folder_that_has_one(tmp_path):
+    night(tmp_path, queue(("a", "")))[0].run()
+    with pytest.raises(RunFolderError, match="another queue"):
+        night(tmp_path, queue(("b", "")))[0].run()
 
 
 def test_the_queue_in_the_documents_is_one_and_names_every_key():
@@ -229,6 +243,36 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]
 
 
+def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
+    with pytest.raises(DocumentFaults, match="same name: Cam7, cam7"):
+        queue(("cam7", ""), ("Cam7", ""))
+
+
+def miss_a_goal(run):
+    decided = {
+        "until": 2,
+        "until_last": 9,
+        "step": 5,
+        "ended": "at_most",
+        "why": "U(fx) is 3 px; the goal is 2 px.",
+    }
+    clock = NightClock()
+    with Journal.open(run / "journal.jsonl", utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+        journal.append(Event.UNTIL_DECIDED, **decided)
+
+
+def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_continues_it(tmp_path):
+    file = tmp_path / "my night.yaml"
+    file.write_text(
+        "format: starbench/queue/1\nname: N\njobs: [{name: a, sequence: three_pose, station: simulated}]\n"
+    )
+    night(tmp_path / "out", read_queue(file), Aborted("SIGTERM received"))[0].run()
+    last = batch_status_text(read_batch_status(tmp_path / "out")).splitlines()[-1]
+    assert last == (
+        f"No process works on it. To continue: starbench batch '{file}' --output {tmp_path / 'out'}"
+    )
+
+
 def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_killed(tmp_path):
     clock, seen, summaries = NightClock(), [], []
     workers = Workers(clock)
@@ -297,4 +341,27 @@ def test_no_run_is_begun_that_would_end_after_the_time_of_day(tmp_path, set_by_s
 
     Batch(tmp_path, jobs, clock, lambda _: None, work).run()
     assert len(workers.begun) == runs
+    assert read_batch(tmp_path).runs["a-001"].ended[0].duration_s == pytest.approx(600.0, abs=1.0)
+
+
+class RestartedClock(NightClock):
+    """The clock of a computer that starts anew: the monotonic one counts from another begin."""
+
+    moved_s = 0.0
+
+    def monotonic(self):
+        return super().monotonic() + self.moved_s
+
+
+@pytest.mark.parametrize("moved_s", [-5000.0, 5000.0])
+def test_the_duration_of_a_run_does_not_depend_on_a_start_of_the_computer(tmp_path, moved_s):
+    clock = RestartedClock()
+    workers = Workers(clock)
+
+    def work(*words):
+        end = workers(*words)
+        clock.moved_s = moved_s
+        return end
+
+    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, work).run()
     assert read_batch(tmp_path).runs["a-001"].ended[0].duration_s == pytest.approx(600.0, abs=1.0)

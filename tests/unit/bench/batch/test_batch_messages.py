@@ -11,7 +11,10 @@ from bench.batch.batch_messages import BatchMessages
 from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
 from bench.record.device_end import DeviceEnd
-from bench.run.messages.outbox import Outbox
+from bench.record.journal import Journal
+from bench.record.summaries import newest_place
+from bench.run.messages.outbox import Message, Outbox
+from bench.stations.station import load_station
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 MAIL = "\nmessages: {mail: {host: 127.0.0.1, port: 1, security: none, sender: b@lab.example, to: [a@lab.example]}%s}\n"
@@ -49,6 +52,21 @@ def test_what_a_worker_cannot_tell_itself_is_told_once(tmp_path, outbox, message
     assert delivered(outbox) == [("failure", f"Starbench: run cam-001 {how}: so")] * count
 
 
+def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messages):
+    (tmp_path / "run").mkdir()
+    clocks = {"utc_now": lambda: NOW, "monotonic": lambda: 0.0}
+    with Journal.create(tmp_path / "run" / "journal.jsonl", **clocks) as journal:
+        key = journal.append("run_ended", how="failed", why="so").hash
+    words = station(tmp_path)
+    messages.add_recipients([words])
+    outbox.put(
+        Message(key, "failure", "by itself", "", "run", "", NOW.isoformat()),
+        load_station(words).value.messages.channels,
+    )
+    messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("failed", "so"), "a" * 64)
+    assert delivered(outbox) == [("failure", "by itself")]
+
+
 def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, messages):
     fault = "the light of a dead process could not be made safe: gone"
     ends = [DeviceEnd("stage", "confirmed safe", "it stands"), DeviceEnd("light", "not confirmed", fault)]
@@ -57,6 +75,14 @@ def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, message
     ((_, delivery),) = outbox.deliveries()
     assert f"light: not confirmed: {fault}. The light may be on." in delivery.message.text
     assert "stage: confirmed safe: it stands." in delivery.message.text
+
+
+def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messages):
+    """Once every such message said: its stage is stopped, its light is off."""
+    messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
+    ((_, delivery),) = outbox.deliveries()
+    assert "No device was asked after that." in delivery.message.text
+    assert "safe" not in delivery.message.text
 
 
 def item(key, number=None, head=None):
@@ -85,6 +111,17 @@ def summary(how, items, cameras=(), charts=None):
     }
 
 
+def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, capsys):
+    begun = tmp_path / "cam 2" / "runs" / "cam-001"
+    begun.mkdir(parents=True)
+    (begun / "journal.jsonl").touch()
+    items = [{**item(name), "how": "failed"} for name in ("cam-001", "never-begun")]
+    show_summary(tmp_path / "cam 2", summary("failed", [*items, item("cam-003")]))
+    printed = capsys.readouterr().out
+    assert f"  starbench resume '{begun}'\n" in printed
+    assert printed.count("resume") == 1
+
+
 def test_the_end_of_a_batch_names_a_drift_as_the_control_charts_judge_it(tmp_path, capsys):
     def group(title, *, seen):
         drift = {"per_day": {"seen": seen}, "per_c": None}
@@ -111,6 +148,15 @@ def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, oc
         f"Starbench: batch Night {how}",
     )
     assert re.search("cam-001 +finished +1 attempt", delivery.message.text)
+
+
+def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
+    items = [item("c", 10, "b" * 64), item("b", 9, "a" * 64), item("a")]
+    assert newest_place(items[2:]) is None
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(summary("finished", items), tmp_path, "c" * 64)
+    ((_, delivery),) = outbox.deliveries()
+    assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text
 
 
 def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messages):

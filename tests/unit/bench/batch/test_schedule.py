@@ -78,11 +78,32 @@ def test_a_batch_waits_for_its_start_and_stops_by_the_morning_after():
     )
 
 
+def test_repetitions_count_from_the_start_and_a_jobs_own_time_moves_all_of_its():
+    items = items_of(
+        [job(times=2, every_min=30), job("b", start_at="21:15", times=2)], EVENING, 7200, "Europe/Berlin"
+    )
+    assert [(item.key, item.due_s) for item in items] == [
+        ("a-001", 7200), ("a-002", 9000), ("b-001", 8100), ("b-002", 8100),
+    ]  # fmt: skip
+
+
+def test_a_job_at_the_very_moment_of_the_start_does_not_wait_a_day():
+    (item,) = items_of([job(start_at="21:00")], EVENING, 7200, "Europe/Berlin")
+    assert item.due_s == pytest.approx(7200, abs=1e-3)
+
+
 def test_what_does_not_fit_before_the_morning_gives_way_to_what_does():
     items = items_of([job("long"), job("short")], EVENING)
     lasts = {"long": 3600, "short": 60}
     slots = look_ahead(items, 0, Bounds(done_by_s=600), lambda item: lasts[item.job.name])
     assert [(slot.item.key, slot.end_s) for slot in slots] == [("short-001", 60), ("long-001", None)]
+
+
+def test_a_run_may_last_beyond_the_last_begin_but_not_begin_after_it():
+    bounds = Bounds(last_begin_s=100)
+    (item,) = items_of([job()], EVENING)
+    assert choose_next([item], 100, bounds, lambda _: 1e6) is item
+    assert choose_next([item], 100.1, bounds, lambda _: 1) is None
 
 
 jobs_drawn = st.lists(

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.batch.supervisor import QUIET_S, SILENCE_S, adopt, supervise
-from bench.run.heartbeat import Heartbeat
+from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, adopt, supervise
+from bench.run.heartbeat import STALL_LIMIT_S, Heartbeat
 from bench.run.processes import waits_for_disk
 
 
@@ -30,6 +30,16 @@ def test_a_signal_from_outside_is_told_from_an_error_of_the_worker(tmp_path, nam
     command = ["sh", "-c", f"ulimit -c 0; kill -{name} $$; sleep 9"]
     end = supervise(command, tmp_path / "run", tmp_path / "log", BenchClock(), lambda _: None)
     assert (end.how, end.why, end.outside) == ("died", f"by SIG{name}", outside)
+
+
+def test_a_lack_of_memory_is_an_error_of_the_worker(tmp_path, monkeypatch):
+    kills = iter([3, 4])
+    monkeypatch.setattr("bench.batch.supervisor.out_of_memory_kills", lambda: next(kills))
+    (tmp_path / "run").mkdir()
+    end = supervise(
+        ["sh", "-c", "kill -KILL $$"], tmp_path / "run", tmp_path / "log", BenchClock(), lambda _: None
+    )
+    assert (end.why, end.outside) == (OUT_OF_MEMORY, False)
 
 
 @pytest.mark.parametrize(("states", "waits"), [("SR", False), ("SD", True), ("", False)])
@@ -69,3 +79,15 @@ def test_silence_is_borne_for_longer_where_the_disk_may_be_its_cause(
     assert (end.how, end.outside, worker.alive) == ("hung", False, False)
     assert how_long_s < end.noticed_s < how_long_s + 1
     assert end.why == f"gave no sign of life for {end.noticed_s:.1f} s"
+
+
+def test_the_end_of_a_silent_worker_tells_a_very_busy_computer_as_a_possible_cause(tmp_path, monkeypatch):
+    SilentProcess(monkeypatch, load=44.0)
+    end = adopt(tmp_path, VirtualClock(datetime(2026, 3, 1, tzinfo=UTC)), lambda _: None)
+    assert end.why.endswith("; this computer is very busy (load 44), which may be the cause")
+    assert end.outside  # so it uses up no attempt of the run
+
+
+def test_a_bench_is_safe_within_15_s_of_a_hang():
+    """A heartbeat is missing after the stall limit; then the supervisor's limit, the last words and the devices."""
+    assert STALL_LIMIT_S + SILENCE_S + 2.0 + 3.5 <= 15.0

@@ -217,6 +217,10 @@ def test_the_rays_of_a_fisheye_file_are_those_of_opencv(text):
     assert off_px(read(text).camera, FISHEYE, fisheye=True) < 1e-6
 
 
+def test_a_fisheye_of_colmap_without_coefficients_is_equidistant():
+    assert off_px(read(colmap("FISHEYE", [])).camera, [0.0] * 4, fisheye=True) < 1e-6
+
+
 def test_the_arrays_of_opencvs_tutorial_are_read_with_a_size_and_no_pickle_is_opened():
     camera_file = read(npz(), image_size=SIZE)
     assert off_px(camera_file.camera, D5) < 1e-6
@@ -225,6 +229,20 @@ def test_the_arrays_of_opencvs_tutorial_are_read_with_a_size_and_no_pickle_is_op
         read(npz())
     assert "size of the image" in error.value.what
     assert "--image-size" in error.value.remedy
+
+
+@pytest.mark.parametrize("text", [opencv_yaml(D5), ros_yaml(D5), kalibr(D5[:4]), json.dumps(GEOMETRY)])
+def test_a_size_that_contradicts_the_file_is_refused(text):
+    assert read(text, image_size=SIZE).camera.image_size == SIZE
+    with pytest.raises(NotACamera, match="1280 x 720"):
+        read(text, image_size=(640, 480))
+
+
+def test_the_skew_of_a_fisheye_calibration_is_used_and_said():
+    matrix = [FLAT_K[0], -0.96635, *FLAT_K[2:]]
+    camera_file = read(ros_yaml(FISHEYE, "equidistant", matrix))
+    assert off_px(camera_file.camera, FISHEYE, fisheye=True, skew_px=-0.96635) < 1e-6
+    assert "-0.96635" in camera_file.remarks[0]
 
 
 @pytest.mark.parametrize(
@@ -236,6 +254,11 @@ def test_four_coefficients_without_a_lens_model_are_not_guessed(text):
     assert "--lens" in error.value.remedy
     assert off_px(read(text, lens="fisheye").camera, FISHEYE, fisheye=True) < 1e-6
     assert off_px(read(text, lens="brown").camera, FISHEYE) < 1e-6
+
+
+def test_an_option_does_not_override_what_a_file_states():
+    with pytest.raises(NotACamera, match="not fisheye"):
+        read(ros_yaml(D5), lens="fisheye")
 
 
 STEREO = file_storage(
@@ -277,6 +300,11 @@ def test_a_camera_of_binned_or_cropped_images_is_that_of_the_whole_image_and_say
     camera_file = read(ros_echo(1, more=more))
     assert off_px(camera_file.camera, D5) < 1e-6
     assert [why in remark for remark in camera_file.remarks] == ([True] if why else [])
+
+
+def test_a_principal_point_far_from_the_middle_is_remarked():
+    (remark,) = read(ros_yaml(D5, matrix=[262.6, 0.0, 161.0, 0.0, 262.3, 89.5, 0.0, 0.0, 1.0])).remarks
+    assert "13 % of the width" in remark
 
 
 #: What is no longer read, or never was, with names that the refusal lists.
@@ -372,6 +400,12 @@ def test_a_refusal_of_another_form_lists_the_forms_that_are_read(name):
         read(json.dumps(content) if isinstance(content, dict) else content)
     for form in ("results.json", "OpenCV", "npz", "ROS", "Kalibr", "Metavision", "COLMAP", "mrcal"):
         assert form in error.value.remedy
+
+
+@given(st.binary(max_size=400))
+def test_any_bytes_are_a_camera_or_refused(data):
+    with contextlib.suppress(NotACamera):
+        read(data)
 
 
 WHOLE = [text.encode() for text, _ in BROWN.values() if len(text) < 10_000] + [npz()]

@@ -69,6 +69,14 @@ def test_what_cannot_be_compared_is_never_in_one_chart(other, details, place):
     assert [len(group.runs) for group in grouped.groups] == [1, 1]
 
 
+def test_a_type_has_charts_of_its_own_if_it_has_several_cameras():
+    both = indexed(run(0), run(1, camera="2"), run(2, camera="2"))
+    levels = [(g.key.level, g.key.serial, len(g.runs)) for g in group_runs(both).groups]
+    assert levels == [("type", "", 3), ("camera", "1", 1), ("camera", "2", 2)]
+    assert [g.key.level for g in group_runs(both, "type").groups] == ["type"]
+    assert [g.key.level for g in group_runs(indexed(run(0)), "type").groups] == ["type"]
+
+
 def test_runs_in_no_chart_are_counted_and_named():
     runs = indexed(
         run(0), run(1, parameters={}), run(2, fx=math.nan), run(3, sigma=0.0), run(4, sigma=math.inf),
@@ -103,6 +111,17 @@ def test_a_lasting_shift_an_outlier_and_a_drift_are_out_of_control():
     assert "px per day" in chart_of(drifting)["verdict"]
 
 
+def test_a_false_alarm_on_a_page_of_many_charts_is_rare():
+    """5 % of the pages at most, for control and for drift alike; single values beyond a limit are only to be checked."""
+    rng, pages = np.random.default_rng(4), 60
+    names = [f"p{n}" for n in range(8)]
+    made = [find_charts([steady(25, rng, names)])["groups"][0] for _ in range(pages)]
+    assert sum(group["state"] == "out of control" for group in made) <= 9  # 3 expected, 9 is 3.5 sigma
+    drifts = [[c["drift"][s] or {} for c in g["parameters"] for s in ("per_day", "per_c")] for g in made]
+    assert sum(any(drift.get("seen") for drift in of_page) for of_page in drifts) <= 9
+    assert sum(group["state"] == "check" for group in made) > 5
+
+
 def test_few_runs_have_values_but_no_limits():
     for count in (1, 2, 4):
         page = find_charts([steady(count, np.random.default_rng(5))])
@@ -111,6 +130,13 @@ def test_few_runs_have_values_but_no_limits():
         assert "too few runs for a verdict" in render_charts(page)
     verdict = chart_of(find_charts([steady(5, np.random.default_rng(6))]))["verdict"]
     assert "provisional until there are 20" in verdict
+
+
+def test_a_camera_whose_runs_scatter_more_than_stated_is_told():
+    group = steady(30, np.random.default_rng(8))
+    stated = [{"fx": run.parameters["fx"]._replace(sigma=0.2)} for run in group.runs]
+    group.runs = [replace(run, parameters=fx) for run, fx in zip(group.runs, stated, strict=True)]
+    assert "times as much as their stated uncertainties predict" in chart_of(find_charts([group]))["verdict"]
 
 
 def test_the_page_loads_nothing_and_no_text_becomes_markup():

@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import shlex
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +14,9 @@ from calling import ended, out_of, refusal
 from command_words import check_help, check_words, commands, examples
 from journals import MadeRun
 
-from bench.commands.cli import SECTIONS
+from bench.base.errors import StorageError
+from bench.commands.cli import SECTIONS, cli
+from bench.commands.output import print_error
 
 RUN_COMMANDS = [
     ("resume",),
@@ -68,6 +72,12 @@ def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words)
     check_help(words, CORE[words], text)
 
 
+def test_the_list_of_commands_is_complete_and_not_truncated(say):
+    listed = say("--help")[1]
+    assert "..." not in listed.partition("A run:")[2]
+    assert [name for name in cli.commands if f"\n  {name} " not in listed] == []
+
+
 @pytest.mark.parametrize("line", examples(CORE))
 def test_an_example_uses_existing_arguments_and_options(line):
     assert check_words(line) == []
@@ -80,12 +90,31 @@ def test_a_missing_run_folder_is_an_invalid_argument(say, words):
     assert "nowhere: There is no such run folder." in message
 
 
+@pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
+def test_a_folder_of_runs_is_refused_and_its_runs_are_named(say, words, tmp_path):
+    run = tmp_path / "runs" / "cam7"
+    run.mkdir(parents=True)
+    (run / "journal.jsonl").write_text("")
+    status, _, message = say(words[0], "runs", *words[1:])
+    assert status == 2
+    assert "not a run folder" in message
+    assert "runs/cam7" in message
+
+
 @pytest.mark.parametrize("words", [*RUN_COMMANDS[:2], *RUN_COMMANDS[3:], ("verify",)], ids=" ".join)
 def test_a_batch_in_place_of_a_run_is_refused_with_the_command_that_continues_it(say, words, tmp_path):
     batch_folder(tmp_path / "night")
     status, _, message = say(words[0], "night", *words[1:])
     assert status == 2
     assert "starbench batch QUEUE.yaml --output night" in message
+
+
+def test_a_file_of_a_run_is_refused_and_the_run_is_named(say, tmp_path):
+    (tmp_path / "cam7").mkdir()
+    (tmp_path / "cam7" / "journal.jsonl").write_text("")
+    status, _, message = say("status", "cam7/journal.jsonl")
+    assert status == 2
+    assert "Did you mean cam7?" in message
 
 
 @pytest.mark.parametrize("output", ["file", "file/inside"])
@@ -176,6 +205,50 @@ def test_ctrl_c_while_the_program_loads_prints_one_word(tmp_path):
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "Stopped.\n")
 
 
+@pytest.mark.parametrize("system", ["win32", "darwin"])
+def test_a_batch_is_refused_on_systems_other_than_linux(say, monkeypatch, tmp_path, system):
+    (tmp_path / "queue.yaml").write_text("")
+    monkeypatch.setattr("sys.platform", system)
+    status, _, message = say("batch", "queue.yaml", "-o", "out")
+    assert status == 2
+    assert "only on Linux" in message
+    assert "starbench run" in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
+    error = sqlite3.OperationalError("database or disk is full")
+    assert print_error(error, []) == 1
+    errors = capsys.readouterr().err
+    assert str(tmp_path / "home") in errors
+    assert "STARBENCH_HOME" in errors
+    assert "Traceback" not in errors
+
+
+def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(capsys, tmp_path):
+    for where, hints in (
+        (tmp_path / "home" / "ledger.jsonl", True),
+        (tmp_path / "run" / "journal.jsonl", False),
+    ):
+        print_error(StorageError("No permission.", where=str(where)), [])
+        assert ("STARBENCH_HOME" in capsys.readouterr().err) is hints
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (("certificate", "issue", "runs/a", "--xades-key=key.pem"), "dcc.xml"),
+        (("calibrate", "runs/a", "--compare"), "`make table1`"),
+        (("history", "capability", "runs"), "`starbench history table"),
+        (("panel", "--line", "nine_pose"), "--expect-serial"),
+    ],
+)
+def test_a_command_that_left_is_refused_with_where_its_work_is_done(say, words, where):
+    status, out, err = say(*words)
+    assert (status, out) == (2, "")
+    assert where in err
+
+
 @pytest.mark.parametrize(
     ("words", "what"),
     [
@@ -191,6 +264,14 @@ def test_a_value_that_does_not_fit_its_word_is_an_invalid_argument(say, tmp_path
     assert what in err
 
 
+@pytest.mark.parametrize("words", [("plan", "three_pose"), ("run", "three_pose")])
+def test_a_fault_of_a_setting_names_the_option(say, words):
+    _, _, err = say(*words, "-s", "simulated", "--set", "foo=3")
+    assert "--set foo=3: the path must begin with 'sequence.' or 'station.'." in err
+    _, _, err = say(*words, "-s", "simulated", "--set", "station.nme=3")
+    assert re.search(r"simulated\.yaml \(with --set\):\d+:\d+: nme: unknown key", err)
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -204,6 +285,36 @@ def test_a_station_file_without_its_option_is_refused_with_the_option(say, words
     monkeypatch.chdir(tmp_path)
     Path("bench.yaml").write_text("format: starbench/station/1\n")
     assert say(*words)[2].endswith("bench.yaml is a station file. Name it with --station.\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("calibrate", "q.yaml"), "This is a queue; it holds no data. `starbench batch`, `plan`"),
+        (("convert", "q.yaml", "a.raw"), "This is a queue; it holds no data."),
+        (("undistort", "q.yaml", "-o", "u"), "This is a queue; it holds no data."),
+        (("convert", "a.raw"), "SOURCE and OUTPUT; only a.raw is given"),
+        (("runs", "--since", "yesterday"), "Write it as 2026-03-01 or 2026-03-01T21:00."),
+        (("plan", "three_pose", "--suggest", "two"), "'two' is not a valid whole number"),
+    ],
+)
+def test_a_word_in_the_wrong_place_is_refused_with_what_it_is(say, words, what, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("q.yaml").write_text("# tonight\nformat: starbench/queue/1\nname: N\n")
+    assert what in say(*words)[2]
+
+
+def test_a_file_of_a_run_is_not_calibrated_but_its_folder_is_named(say, tmp_path):
+    (tmp_path / "journal.jsonl").touch()
+    (tmp_path / "results.json").write_text("{}")
+    assert f"Name the folder of the run: {tmp_path}" in say("calibrate", tmp_path / "results.json")[2]
+
+
+def test_the_same_verb_takes_the_same_arguments(capsys, tmp_path):
+    output = out_of(capsys, "certificate", "new", tmp_path / "lab.yaml")
+    assert output.startswith(f"Written: {tmp_path / 'lab.yaml'}.")
+    assert "REPLACE" in (tmp_path / "lab.yaml").read_text()
+    assert "exists" in refusal(capsys, "certificate", "new", tmp_path / "lab.yaml", status=2)
 
 
 def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_on(capsys, tmp_path):
@@ -225,3 +336,22 @@ def test_the_command_that_is_offered_next_can_be_pasted(capsys, tmp_path):
         out_of(capsys, "station", "new", "--stand-ins", "keysight", path).partition("starbench ")[2]
     )
     assert offered[offered.index("-s") + 1] == str(path)
+
+
+def test_an_option_that_stand_ins_do_not_use_is_refused(capsys, tmp_path):
+    path = tmp_path / "practice.yaml"
+    said = refusal(
+        capsys, "station", "new", path, "--stand-ins", "keysight", "--light", "gardasoft", status=2
+    )
+    assert "--light" in said
+    assert not path.exists()
+
+
+def test_the_home_folder_is_expanded_where_the_shell_does_not(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "me"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "me").mkdir()
+    out_of(capsys, "station", "new", "~/bench.yaml", "--stand-ins", "keysight")
+    assert (tmp_path / "me" / "bench.yaml").is_file()
+    assert "Three poses on My bench" in out_of(capsys, "plan", "three_pose", "--station=~/bench.yaml")
+    assert not (tmp_path / "~").exists()

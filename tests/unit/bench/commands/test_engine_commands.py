@@ -57,6 +57,19 @@ def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain
     assert with_it["sigma"]["fx"] < without["sigma"]["fx"]
 
 
+def test_a_passport_is_never_overwritten_and_only_a_passport_is_read(capsys, points, tmp_path):
+    file = tmp_path / "c.json"
+    folder, _ = points
+    words = ("passport", "make", folder, "--image-size", "1280x720", "-o", file)
+    file.write_text("{}")
+    out_of(capsys, *words, status=2)
+    assert file.read_text() == "{}"
+    for name, text in (("a.json", "{}"), ("b.json", "no json"), ("d.json", "[1, 2]")):
+        (tmp_path / name).write_text(text)
+        out_of(capsys, "passport", "show", tmp_path / name, status=2)
+    out_of(capsys, "passport", "show", tmp_path / "none", status=2)
+
+
 def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
     answer = json.loads(out_of(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
     assert 0.1 < answer["expected"]["sigma"]["fx"] < 10

@@ -11,6 +11,7 @@ from bench.base.errors import BenchError
 from bench.commands.cli import cli
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.revoked_keys import RevokedKey, revoke
+from bench.evidence.signers import read_signers
 from bench.record.run_folder import RunFolder
 
 pytestmark = needs_ssh_keygen
@@ -78,6 +79,28 @@ def test_keys_are_replaced_and_revoked(home):
     assert "This is this bench's own key" not in output
     assert "REVOKED 2026-02-03 00:00 UTC (laptop stolen)" in call("keys", "show")
     assert "own key. Replace it now" in call("keys", "revoke", new.fingerprint, "--reason", "lost")
+
+
+def test_the_line_that_keys_show_prints_is_the_trusted_one(home):
+    call("keys", "rotate")
+    line = read_signers(home / "allowed_signers")[1].line
+    assert f"  {line}\n" in call("keys", "show")
+    assert "valid-after" in line
+
+
+def test_keys_show_asks_for_no_passphrase(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path))
+
+    def never(_):
+        raise AssertionError("asked for a passphrase")
+
+    monkeypatch.setattr("bench.commands.keys.ask_passphrase", never)
+    key = create_key(tmp_path, principal="bench1@lab.example", passphrase=b"secret")
+    output = call("keys", "show")
+    assert key.fingerprint in output
+    assert f"  {key.signers_line}\n" in output
+    (tmp_path / "bench_key").write_text("no key")
+    call("keys", "show", fails="The key cannot be read: it is not in OpenSSH's format.")
 
 
 # ------------------------------------------------------------------ the key before the run

@@ -88,6 +88,13 @@ def test_commands_options_stations_and_sequences_are_proposed(shell):
     assert proposed(shell, "station", "new", "x.yaml", "--light", "g") == [("plain", "gardasoft")]
 
 
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_shell_completes_paths(shell):
+    assert proposed(shell, "run", "my_se") == [("file", "my_se")]
+    assert proposed(shell, "resume", "runs/") == [("dir", "runs/")]
+    assert proposed(shell, "target", "-o", "x") == [("file", "x")]
+
+
 def test_bash_takes_the_script_and_completes_with_it(tmp_path):
     bash = shutil.which("bash")
     if bash is None:

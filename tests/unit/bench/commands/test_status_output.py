@@ -18,6 +18,7 @@ from terminal_screen import Screen
 from waiting import wait_until
 
 from bench.base.clock import BenchClock
+from bench.base.text_block import Block
 from bench.batch.batch_status import BatchStatus
 from bench.commands.status import status
 from bench.plan.plan import load_documents, make_plan
@@ -142,6 +143,19 @@ def test_one_block_stays_to_the_end_of_the_run(run, followed):
     assert max(map(len, shown.splitlines())) < 48
 
 
+def test_a_run_that_dies_and_a_terminal_that_is_small(run, followed):
+    on = followed(30, 8)
+    for pose in (1, 2):
+        run.tell(Event.ENTERING, state="slewing", pose=pose)
+    on.shows("pose 2 of 3")
+    run.die()
+    assert on.end() == 1
+    assert "interrupted (killed, power" in on.screen.text
+    assert on.screen.text.startswith("Run run-7")
+    assert len(on.screen.text.splitlines()) < 8
+    assert not on.screen.scrolled
+
+
 def test_ctrl_c_ends_the_following_only(run, followed):
     on = followed()
     on.shows("running: idle")
@@ -171,6 +185,12 @@ def test_elsewhere_each_line_is_printed_once(run, tmp_path):
     assert lines[-1].startswith("No process works on this run.")
     assert sum(line.startswith("Run run-7") for line in lines) == 2  # at the begin and at the end
     assert "\x1b" not in out.read_text()
+
+
+def test_a_name_cannot_move_the_cursor(capsys, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    Block(sys.stdout).draw(["one\x1b[2J", "two"], ["\x1b[9A"], [])
+    assert "\x1b[2J" not in capsys.readouterr().out
 
 
 def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, capsys, monkeypatch):

@@ -1,5 +1,6 @@
 """The package `starbench`: quick to import, complete, and closed to foreign packages with the names of ours."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -49,6 +50,11 @@ def test_the_installed_copy_is_the_front_door_as_it_is_now():
         assert (Path(starbench.__file__).parent / path.name).read_text() == path.read_text(), "install again"
 
 
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'lod'"):
+        bench.front_door.lod  # noqa: B018
+
+
 def test_the_front_door_is_imported_without_numpy_and_load_without_the_engine():
     code = (
         "import sys, starbench; assert 'numpy' not in sys.modules; starbench.load; "
@@ -56,6 +62,10 @@ def test_the_front_door_is_imported_without_numpy_and_load_without_the_engine():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_our_own_packages_are_accepted():
+    assert require_own_packages() is None  # raises otherwise
 
 
 @pytest.mark.parametrize(
@@ -71,6 +81,31 @@ def test_a_foreign_package_is_named_and_never_imported(door, name, tmp_path):
     assert f"Starbench is in {ROOT}" in done.stderr or "site-packages" in done.stderr
     assert f"remove {tmp_path} from PYTHONPATH" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_foreign_module_in_one_file_is_refused_too(tmp_path):
+    (tmp_path / "calib.py").write_text("print('FOREIGN')\n")
+    done = run("command", tmp_path, "runs", "--json")
+    assert done.returncode == 1
+    error = json.loads(done.stdout)["error"]
+    assert error["kind"] == "ForeignPackageError"
+    assert str(tmp_path / "calib.py") in error["message"]
+    assert "virtual environment" in error["remedy"]
+
+
+def test_a_folder_that_is_no_package_does_no_harm(tmp_path):
+    (tmp_path / "drivers").mkdir()
+    done = run("command", tmp_path, "--version")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("starbench, version")
+
+
+def test_a_notebook_with_a_foreign_package_gets_an_import_error(tmp_path, monkeypatch):
+    foreign(tmp_path, "simulators")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "simulators", raising=False)
+    with pytest.raises(ForeignPackageError, match="another package named 'simulators'"):
+        require_own_packages()
 
 
 def test_a_missing_package_is_named(tmp_path, monkeypatch):

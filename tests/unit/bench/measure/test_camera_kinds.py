@@ -3,16 +3,18 @@
 from dataclasses import asdict, replace
 from unittest.mock import create_autospec
 
+import numpy as np
 import pytest
 
 from bench.measure.camera_kinds import EventKind, FrameKind, camera_kind
 from bench.measure.measure import Measurement
-from bench.measure.measure_frames import frame_gates
+from bench.measure.measure_frames import frame_gates, frame_rejection_reasons, measure_frames
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.stations.station import SHIPPED_STATIONS, Station
+from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
-from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings
+from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings, write_frames
 from sequences.reader import check_document
 from sequences.script import Gates, LightStep
 
@@ -58,6 +60,15 @@ def test_a_flicker_becomes_steady_light_at_its_high_level_for_a_frame_camera():
     assert job.camera_name == "opencv"
     event = Job.from_files("three_pose", "simulated", seed=1, operator=None)
     assert event.light_settings(flicker).waveform == "square"
+
+
+def test_a_plan_notes_that_a_flicker_becomes_steady_light():
+    planned = make_plan(*load_documents("three_pose", "simulated_frames"))
+    assert not planned.faults
+    assert [r.message for r in planned.remarks] == [
+        "the station has a frame camera: the light is steady instead."
+    ]
+    assert planned.size_bytes > 3 * 8 * 1280 * 720
 
 
 def test_a_sequence_of_steady_light_is_only_for_frame_cameras(steady):
@@ -109,3 +120,19 @@ def test_frames_are_judged_by_saturation_and_by_the_motion_that_the_sequence_all
     measurement, limits = Measurement(None, None, {"motion_px": 0.2}), {"max_motion_px": most_px}
     gates = frame_gates(replace(TAKEN, saturated_share=share), Gates(0, 200.0, True, limits), measurement)
     assert {judged.name: judged.verdict for judged in gates}[gate] == verdict
+
+
+def test_an_incomplete_series_of_frames_is_rejected():
+    assert frame_rejection_reasons(replace(TAKEN, complete=False)) == [
+        "fewer frames were recorded than asked for"
+    ]
+    assert frame_rejection_reasons(TAKEN) == []
+
+
+def test_frames_without_a_target_and_other_files_report_a_fault(tmp_path):
+    write_frames(tmp_path / "dark.tif", [np.zeros((240, 320), np.uint8)] * 2)
+    measurement = measure_frames(tmp_path / "dark.tif", name="dark", target=StarTarget())
+    assert (measurement.view, measurement.facts["image"]["pictures"]) == (None, 2)
+    assert measurement.fault
+    (tmp_path / "bad.tif").write_bytes(b"hello")
+    assert "no images" in measure_frames(tmp_path / "bad.tif", name="bad", target=StarTarget()).fault

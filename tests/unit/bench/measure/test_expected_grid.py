@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.measure.expected_grid import best_angles_deg, grid_from_earlier_poses
+from bench.measure.expected_grid import best_angles_deg, grid_from_earlier_poses, grid_from_journal
 from bench.record.history import Attempt, History
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography
@@ -45,6 +45,13 @@ def test_poses_labelled_by_the_gimbal_or_rejected_predict_nothing(changed):
     history = History(attempts=[attempt(i, reading, **changed) for i, reading in enumerate(SEEN, 1)])
     with pytest.raises(DegenerateViews, match="No earlier view"):
         grid_from_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
+
+
+def test_a_journaled_expected_grid_is_used_again():
+    named = attempt(4, HERE, named_by="gimbal")
+    named.checked["measured"]["expected_grid"] = grid_at(HERE).tolist()
+    assert (grid_from_journal(named)(SIZE) == grid_at(HERE)).all()
+    assert grid_from_journal(attempt(1, HERE)) is None
 
 
 def test_encoder_angles_replace_stated_positions():

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import threading
 
 import grimp
 import numpy as np
@@ -10,7 +11,7 @@ from made_views import made_rim, made_view
 from solved_run import write_solved_run
 
 from bench.measure import kept_views
-from bench.measure.kept_views import DETECTOR_SOURCES, KeptViews, pack_view
+from bench.measure.kept_views import DETECTOR_SOURCES, KeptViews, detector_version, pack_view, view_key
 from bench.measure.measure import Measurement
 from bench.measure.views_file import read_views
 from bench.plan.job import Job
@@ -97,6 +98,17 @@ def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
     assert find.calls == 2, "the broken entry was replaced"
 
 
+def test_an_entry_larger_than_any_is_not_read(kept, recording):
+    find = Finder(made_view(rim=made_rim()))
+    kept.view(recording, OPTIONS, find)
+    (entry,) = kept.folder.glob("*/*.view")
+    with entry.open("r+b") as file:
+        file.truncate(10 << 30)
+    assert same(kept.view(recording, OPTIONS, find), find.view)
+    (remark,) = kept.remarks
+    assert "a kept view is broken (it is larger than any entry)" in remark
+
+
 def test_a_recording_that_is_replaced_meanwhile_is_not_kept(kept, recording):
     def find():
         recording.write_bytes(b"other events")
@@ -140,6 +152,16 @@ def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
     assert "chmod 700" in open_to_others.remarks[0]
 
 
+def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
+    (tmp_path / "file").write_text("")
+    kept = KeptViews(tmp_path / "file" / "views")
+    find = Finder(made_view(rim=made_rim()))
+    for _ in range(3):
+        kept.view(recording, OPTIONS, find)
+    assert find.calls == 3
+    assert len(kept.remarks) == 1
+
+
 def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -150,6 +172,38 @@ def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatc
         assert same(kept.view(recording, OPTIONS, find), find.view)
     assert [remark.count("No space left") for remark in kept.remarks] == [1]
     assert not [path for path in kept.folder.rglob("*") if path.is_file()]
+
+
+def test_several_writers_of_one_entry_leave_it_whole(kept):
+    key = view_key("0" * 64, OPTIONS)
+    view, torn = made_view(stars=2000), []
+
+    def work():
+        own = KeptViews(kept.folder, most_bytes=1 << 34)
+        for _ in range(20):
+            own.write(key, view)
+            if (read := own.read(key)) is None or not same(read, view):
+                torn.append(own.remarks)
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert torn == []
+    assert [path.name for path in (kept.folder / key[:2]).iterdir()] == [f"{key}.view"]
+
+
+def test_a_recording_with_holes_is_not_hashed(kept, recording, monkeypatch):
+    with recording.open("r+b") as file:
+        file.truncate(10 << 30)
+    monkeypatch.setattr("bench.measure.kept_views.sha256_of", lambda _: pytest.fail("it was hashed"))
+
+    def find():
+        raise ValueError("holes")
+
+    with pytest.raises(ValueError, match="holes"):
+        kept.view(recording, OPTIONS, find)
 
 
 def test_the_version_of_the_detector_covers_all_that_finds_stars():
@@ -175,6 +229,16 @@ def test_the_version_of_the_detector_covers_all_that_finds_stars():
     ):
         for module in graph.find_upstream_modules(detector):
             assert module.startswith((*hashed, *without_influence)), f"{detector} imports {module}"
+
+
+def test_the_version_changes_with_a_source(monkeypatch, tmp_path):
+    before = detector_version()
+    assert before == detector_version.__wrapped__()
+    changed = tmp_path / "calib" / "errors.py"
+    changed.parent.mkdir()
+    changed.write_text("")
+    monkeypatch.setattr(kept_views, "source_files", lambda _root: [])
+    assert detector_version.__wrapped__() != before
 
 
 # ---------------------------------------------------------------- a run keeps its own

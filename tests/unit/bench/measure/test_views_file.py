@@ -45,6 +45,27 @@ def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, 
         assert np.array_equal(kept.picture(), had.picture())
 
 
+def test_a_thousand_poses_keep_their_order(tmp_path):
+    views = [made_view(str(number), 4, size=(2, 2)) for number in range(1, 1002)]
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([stored_of(view) for view in views]))
+    assert [stored.view.name for stored in read_views(path)] == [view.name for view in views]
+
+
+@pytest.mark.parametrize(("points", "lit"), [(3, 2), (0, 2), (0, 0)])
+def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, lit):
+    rim = made_rim(points, lit)
+    views = [made_view("one", 5, size=SIZE, rim=rim), made_view("two", 5, size=SIZE)]
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([stored_of(view) for view in views]))
+    kept_rim, none = (stored.view.rim for stored in read_views(path))
+    assert none is None
+    assert kept_rim.level_sigma_mm == rim.level_sigma_mm
+    for field in ("points_mm", "sigmas_mm", "lit_mm"):
+        assert np.array_equal(getattr(kept_rim, field), getattr(rim, field))
+        assert getattr(kept_rim, field).shape == getattr(rim, field).shape
+
+
 @pytest.fixture
 def path(tmp_path):
     view = made_view("one", 5, size=SIZE, rim=made_rim(3, 2))
@@ -108,3 +129,8 @@ def test_a_file_that_is_not_hdf5_is_refused(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(RunFolderError, match="cannot be read"):
         read_views(path)
+
+
+def test_a_pose_that_the_file_does_not_have_is_refused(path):
+    with pytest.raises(RunFolderError, match="pose-002 is missing"):
+        read_picture(path, 2)

@@ -47,3 +47,9 @@ GATES = "sequence.defaults.record.gates"
 def test_a_looser_gate_and_the_setting_that_loosened_it_are_each_told_once(departures_with, settings, gate):
     ((path, text),) = settings.items()
     assert departures_with(settings) == [f"{path} was set to {text} for this run.", gate]
+
+
+@pytest.mark.parametrize("settings", [{f"{GATES}.max_motion_px": "0.01"}, {f"{GATES}.min_stars": "100"}])
+def test_a_stricter_gate_is_told_as_a_setting_only(departures_with, settings):
+    (only,) = departures_with(settings)
+    assert only.endswith("for this run.")

@@ -1,5 +1,6 @@
 """The passport of a run: which file the documents name, what is wrong with it, and what speaks against it."""
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -17,7 +18,8 @@ from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.passport_file import parse_passport, passport_bytes, read_passport_file
 from bench.plan.plan import load_documents, make_plan
 from bench.record.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
-from bench.solve.passports import seal_file, sealed_bytes
+from bench.solve.passports import seal_file, sealed_bytes, seals_of
+from bench.wording.plan_text import render_plan
 from calib.model.passport import Passport
 
 TODAY = date(2026, 6, 1)
@@ -196,6 +198,24 @@ def test_what_speaks_against_a_passport_is_remarked(bench, tmp_path, key):
     assert "p.json is not sealed" in remark.message
 
 
+@pytest.mark.usefixtures("own_home")
+def test_the_plan_names_hash_and_seal_of_the_passport(bench, tmp_path, key):
+    path = write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key)
+    plan = bench("{passport: p.json}")
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert f"Passport p.json\n  SHA-256 {sha256}\n  sealed by {key.fingerprint}\n" in render_plan(plan)
+    assert plan.passport.in_use.to_dict()["sealed_by"] == key.fingerprint
+    write(tmp_path / "a" / "p.json", collimator="C-1")
+    assert "\n  not sealed\n" in render_plan(bench("{passport: p.json}"))
+
+
+def test_a_seal_of_a_key_that_is_not_trusted_is_remarked(bench, tmp_path, key, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "another"))
+    write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key)
+    (remark,) = bench("{passport: p.json}").remarks
+    assert f"sealed by {key.fingerprint}, a key that this bench does not trust" in remark.message
+
+
 @pytest.mark.parametrize(("sealed", "trusted"), [(False, True), (True, False), (True, True)])
 def test_a_strict_station_takes_sealed_passports_of_trusted_keys_only(
     bench, tmp_path, key, home, monkeypatch, sealed, trusted
@@ -224,6 +244,12 @@ def test_a_run_reads_the_copy_in_its_folder(bench, tmp_path):
         *load_documents(str(run / SEQUENCE_COPY), str(run / STATION_COPY)), passport_copy=run / PASSPORT_COPY
     )
     assert "The run folder has no passport.json" in str(missing.faults)
+
+
+@pytest.mark.parametrize("model", ["spherical", "planar"])
+def test_a_method_of_reference_gets_no_passport(bench, model):
+    step = solve_of(bench(f"{{model: {model}}}"))
+    assert calibration_options(step, Passport.of_radius(255, 0.05)).passport is None
 
 
 # ---------------------------------------------------------------- passport files
@@ -308,6 +334,29 @@ def test_a_covariance_that_no_measurement_gives_is_refused(covariance, says):
         parse_passport(altered(covariance=covariance.tolist()), "p")
 
 
+@pytest.mark.parametrize(
+    "values", [[97, 141, 1e-300], [97, 141, 0], [97, 141, -255], [97, 141, 1e300], [97, 141, 10**400]]
+)
+def test_values_that_no_collimator_has_are_refused(values):
+    with pytest.raises(UsageError):
+        parse_passport(altered(values=values), "p")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"values"', '"covariance": [], "values"', "'covariance' is there twice"),
+        ('"collimator": "C-1"', '"collimator": "C-1", "collimator": "C-2"', "'collimator' is there twice"),
+        ("255.0", "NaN", "NaN is not a number"),
+        ("255.0", "Infinity", "Infinity is not a number"),
+        ("255.0", "1e999", r"values\.2 is inf"),
+    ],
+)
+def test_json_that_readers_take_differently_is_refused(old, new, says):
+    with pytest.raises(UsageError, match=says):
+        parse_passport(altered().replace(old.encode(), new.encode(), 1), "p")
+
+
 def test_a_passport_without_a_seal_gets_one_in_a_new_file(tmp_path, key):
     (tmp_path / "hand.json").write_bytes(altered())
     seal_file(tmp_path / "hand.json", tmp_path / "sealed.json", key)
@@ -318,3 +367,10 @@ def test_a_passport_without_a_seal_gets_one_in_a_new_file(tmp_path, key):
         seal_file(tmp_path / "sealed.json", tmp_path / "again.json", key)
     (tmp_path / "plain.json").write_bytes(sealed_bytes(passport()))
     assert read_passport_seal((tmp_path / "plain.json").read_bytes()) is None
+
+
+def test_a_passport_names_the_seals_of_its_runs(sealed_once, tmp_path):
+    import hashlib
+
+    seals = seals_of([sealed_once, tmp_path, tmp_path / "points.csv"])
+    assert seals == {"sealed": hashlib.sha256((sealed_once / "SHA256SUMS").read_bytes()).hexdigest()}

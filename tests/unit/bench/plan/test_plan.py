@@ -200,9 +200,31 @@ def test_steps_left_out_because_of_a_fault_give_no_second_fault(recorded, fault)
     assert message.endswith(fault)
 
 
+def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
+    text = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: PAN}}, settle, record, solve, report]\n"
+    assert faults(text.replace("PAN", "2")) == []
+    (fault,) = faults(text.replace("PAN", "1"))
+    assert fault == (
+        "s.yaml:3:92: steps[7].solve: only one direction is recorded. Record at least 2 directions, or use a passport "
+        "that holds the collimator's centre. A certificate of its focal length is not enough."
+    )
+
+
+def test_a_setting_of_the_defaults_is_blamed_where_it_is_written():
+    assert faults("defaults:\n  light: {frequency_hz: 20000}\n  record: {window_ms: 0.01}\n" + GOOD) == [
+        "s.yaml:4:25: defaults.light.frequency_hz: 20000 Hz is outside the range of the station's light, 0.1 to 10000 Hz.",
+        "s.yaml:5:23: defaults.record.window_ms: 0.01 ms is shorter than a period of 20000 Hz: use at least 0.05 ms.",
+    ]
+
+
 def test_the_limits_themselves_are_within_and_a_hair_short_of_a_period_still_counts_as_one():
     text = GOOD.replace("pan_deg: 1}", "pan_deg: 15}").replace("pan_deg: 2}", "pan_deg: -15}")
     assert faults("defaults: {record: {window_ms: 16.6}}\n" + text) == []
+
+
+def test_how_many_angles_a_span_has_is_no_angle():
+    steps = "steps: [light, {repeat: {poses: {pan_deg: {first: -1, last: 1, count: 99}}, steps: [move, settle, record]}}, solve, report]\n"  # fmt: skip
+    assert faults(steps) == []
 
 
 def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
@@ -228,6 +250,16 @@ def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
     ]
 
 
+def test_a_limit_on_what_is_not_estimated_is_blamed():
+    solve = "{solve: {model: planar, distortion: [k1], limits: {rms_px: 1, sigma_k1: 1, sigma_k2: 1, sigma_r_mm: 1}}}"
+    messages = faults(GOOD.replace("solve", solve))
+    assert [line.split(": ")[1] for line in messages] == [
+        "steps[7].solve.limits.sigma_k2",
+        "steps[7].solve.limits.sigma_r_mm",
+    ]
+    assert faults(GOOD.replace("solve", "{solve: {limits: {sigma_k2: 1, sigma_r_mm: 1}}}")) == []
+
+
 def test_triggers_cannot_be_required_of_a_light_that_gives_none():
     station = station_with("high_v: 5", "sync_output: false")
     (fault, again) = faults(GOOD, station)
@@ -247,6 +279,19 @@ def test_what_somebody_should_know_is_said_and_forbids_nothing():
     ]
 
 
+@pytest.mark.parametrize(
+    ("written", "remarked"),
+    [
+        ("defaults: {light: {duty_percent: 0.5}}", ["0.5 means 0.5 per cent; all is 100."]),
+        ("defaults: {light: {level_percent: 1}}", ["1 means 1 per cent; all is 100."]),
+        ("defaults: {light: {duty_percent: 20}}", []),
+        ("", []),
+    ],
+)
+def test_a_share_in_place_of_per_cent_is_remarked(written, remarked):
+    assert [remark.message for remark in planned(f"{written}\n{GOOD}").remarks] == remarked
+
+
 def test_a_pose_that_looks_past_the_beam_is_remarked_and_drawn_outside_of_it():
     made = planned(GOOD.replace("pan_deg: 2", "pan_deg: -14.5"))
     (remark,) = made.remarks
@@ -257,6 +302,11 @@ def test_a_pose_that_looks_past_the_beam_is_remarked_and_drawn_outside_of_it():
     assert (
         planned(GOOD.replace("pan_deg: 2", "pan_deg: 13")).remarks == ()
     )  # the zero of a stage is not exact
+
+
+def test_angles_that_look_like_radians_are_remarked():
+    (remark,) = planned(GOOD.replace("pan_deg: 2", "pan_deg: 0.79")).remarks
+    assert "all poses lie within 0.21 degrees" in remark.message
 
 
 def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
@@ -290,6 +340,22 @@ def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
     assert len(caught.value.faults) == 23, str(caught.value)
     assert all(line.startswith((f"{sequence}:", f"{station}:")) for line in caught.value.faults)
     assert caught.value.exit_status == 2
+
+
+def test_angles_are_compared_with_the_station_even_in_a_sequence_that_has_other_faults(tmp_path):
+    sequence = tmp_path / "s.yaml"
+    sequence.write_text(
+        HEAD + "poses: {a: [{pan_deg: 99}, {pan_deg: x}, {roll_deg: 1}, {pan_deg: 1e999}]}\nsteps: [mvoe]\n"
+    )
+    with pytest.raises(ScriptError) as caught:
+        load_documents(str(sequence), "simulated")
+    assert [fault.partition(": ")[2] for fault in caught.value.faults] == [
+        "poses.a[1].pan_deg: must be a number (got 'x').",
+        "poses.a[3].pan_deg: must be a finite number (got '1e999').",
+        "steps[0].mvoe: unknown key. Did you mean 'move'?",
+        "poses.a[0].pan_deg: pan 99 deg is outside the limits of the station, -15 to 15 deg.",
+        "poses.a[2].roll_deg: the stage of the station has no roll axis; it has pan, tilt.",
+    ]
 
 
 def test_the_plan_as_json_is_plain_and_names_no_place_of_this_machine():
@@ -350,6 +416,17 @@ def test_a_limit_of_a_result_that_the_run_does_not_estimate_is_refused(result, m
     assert messages == ([] if fault is None else [f"s.yaml:3:19: limits[0].result: {fault}"])
 
 
+def test_a_limit_of_the_station_counts_too_and_needs_a_result():
+    limited = check_document((PLAIN + "limits: [{result: k3, upper: 1}]\n").encode(), "b.yaml", Station)
+    with_report = SOLVED % ("fx", "spherical", "  - report\n")
+    assert (
+        "the station limits k3: the last solve does not estimate this result."
+        in faults(with_report, limited)[0]
+    )
+    without = SOLVED % ("fx", "spherical", "")
+    assert any("limits need a solve step and a report step" in fault for fault in faults(without))
+
+
 @pytest.mark.parametrize(
     ("section", "fault_text"),
     [
@@ -372,6 +449,15 @@ def test_a_wrong_key_of_the_simulation_is_found_by_the_plan_at_its_place(section
     messages = faults(GOOD, station)
     assert len(messages) == bool(fault_text)
     assert all(fault_text in fault and fault.startswith("b.yaml:8:") for fault in messages)
+
+
+def test_an_axis_that_the_simulated_stage_lacks_is_named_by_the_plan():
+    text = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text()
+    (tilt,) = re.findall(r"\n    tilt:\n(?:      .*\n)+", text)
+    roll = tilt.replace("tilt:", "roll:").replace("100102", "100103").replace("device: 2", "device: 3")
+    station = check_document(text.replace(tilt, tilt + roll.lstrip("\n")).encode(), "b.yaml", Station)
+    (fault,) = faults(GOOD, station)
+    assert "The simulated stage has no axis roll. Name it here: roll: {}." in fault
 
 
 def test_a_loss_that_the_model_does_not_use_is_said_by_the_plan_and_not_listed_as_used():

@@ -8,8 +8,9 @@ import pytest
 from flat import flatten
 from station_texts import PLAIN
 
-from bench.base.errors import UsageError
-from bench.plan.job import Job, calibration_options
+from bench.base.errors import ScriptError, UsageError
+from bench.batch.batch_plan import read_job, read_queue
+from bench.plan.job import Job, ParkStep, calibration_options
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.stations.cameras import OpenCvCameraConfig
 from bench.wording.plan_text import render_plan
@@ -19,7 +20,7 @@ from calib.model.lens import BROWN, FISHEYE
 from sequences import solve_schema as schema
 from sequences.reader import check_document, find_document
 from sequences.schema import Sequence
-from sequences.script import ChooseStep, MoveStep
+from sequences.script import ChooseStep, LightStep, MoveStep
 
 SHIPPED = Path(__file__).parents[4] / "sequences" / "until_good.yaml"
 
@@ -55,6 +56,22 @@ def test_fewer_recordings_or_minutes_make_it_shorter_and_smaller(tmp_path):
     assert few.duration_s < short.duration_s < many.duration_s
     assert few.size_bytes < short.size_bytes < many.size_bytes
     assert few.most_bytes < many.most_bytes
+
+
+def test_plan_json_names_the_rounds_and_the_bounds(plan):
+    data = plan.to_dict()
+    (until,) = data["untils"]
+    assert data["most_poses"] == until["at_most"] == 25
+    assert (until["starts"], until["minutes"]) == (3, 20)
+    assert until["goals"] == {"expanded_fx_px": 2.5, "worst_corner_px": 1.5}
+    assert len(data["poses"]) == 3
+    assert data["steps"][until["first"] - 1]["what"] == "move"
+
+
+def test_the_stage_parks_after_the_last_round(plan):
+    job = Job.from_plan(plan, seed=1, operator=None)
+    place = next(i for i, step in enumerate(job.steps) if isinstance(step, ParkStep))
+    assert isinstance(job.steps[place - 1], LightStep)
 
 
 def test_a_chosen_pose_has_its_angles_from_the_journal_and_others_turn_every_axis(plan):
@@ -128,6 +145,11 @@ def test_every_model_reaches_the_engine(model):
     assert calibration_options(solve_step(f"{{model: {model}}}")).model == model
 
 
+@pytest.mark.parametrize("name", DISTORTION_SETS)
+def test_every_set_of_lens_coefficients_reaches_the_engine(name):
+    assert calibration_options(solve_step(f"{{distortion: {name}}}")).distortion == DISTORTION_SETS[name]
+
+
 def test_the_other_settings_reach_the_engine():
     made = calibration_options(
         solve_step("{loss: l2, huber_px: 0.5, guard_band: 0.9, drift_mm: 0.2, distortion: [kb2, kb1]}")
@@ -139,6 +161,8 @@ def test_the_other_settings_reach_the_engine():
 # ---------------------------------------------------------------- no credential in a URL
 
 SECRET = "pa55"
+
+HOOK = f"\nmessages: {{webhooks: [{{url: 'https://bot:{SECRET}@chat.example/'}}]}}\n"
 
 
 def plan_of(tmp_path, more="", sequence="three_pose", **words):
@@ -166,11 +190,44 @@ def test_a_station_with_a_credential_is_refused_at_its_line(tmp_path, more, says
     assert SECRET not in str(fault)
 
 
+def test_a_setting_with_a_credential_is_refused(tmp_path):
+    settings = {"station.laboratory": f"https://x:{SECRET}@lab.example/"}
+    assert "URL with a password" in str(plan_of(tmp_path, settings=settings).faults[0])
+
+
 def test_a_sequence_with_a_credential_is_refused(tmp_path):
     text = find_document("three_pose", SHIPPED_SEQUENCES).read_text()
     (tmp_path / "own.yaml").write_text(f"{text}# from https://u:{SECRET}@git.example/\n")
     (fault,) = plan_of(tmp_path, sequence=str(tmp_path / "own.yaml")).faults
     assert "own.yaml" in str(fault)
+
+
+def test_webhooks_are_refused_at_their_line_with_what_to_write_now(tmp_path):
+    for hook, faults in (("http://127.0.0.1:1/", 1), (f"https://bot:{SECRET}@chat.example/", 2)):
+        found = plan_of(tmp_path, f"\nmessages: {{webhooks: [{{url: '{hook}'}}]}}\n").faults
+        assert len(found) == faults  # of a secret address, the second one says so
+        assert SECRET not in "".join(map(str, found))
+        (fault,) = [fault for fault in found if fault.path == "messages.webhooks"]
+        assert "apprise: [{url_env: NAME}]" in fault.message
+        assert fault.line > PLAIN.count("\n")
+
+
+def test_the_files_of_a_run_that_has_begun_are_read_as_they_are(tmp_path):
+    path = tmp_path / "station.yaml"
+    path.write_text(PLAIN + HOOK)
+    assert make_plan(*load_documents("three_pose", str(path)), passport_copy=tmp_path / "none").faults == ()
+
+
+@pytest.mark.parametrize("read", [read_queue, read_job])
+def test_a_queue_or_job_with_a_credential_is_refused(tmp_path, read):
+    job = f"{{name: a, sequence: three_pose, station: simulated, settings: {{station.operator: 'https://u:{SECRET}@h/'}}}}"
+    text = f"format: starbench/queue/1\nname: q\njobs: [{job}]\n"
+    if read is read_job:
+        text = f"format: starbench/job/1\nname: a\nsequence: three_pose\nstation: simulated\n# https://u:{SECRET}@h/\n"
+    (tmp_path / "file.yaml").write_text(text)
+    with pytest.raises(ScriptError, match="URL with a password") as refused:
+        read(tmp_path / "file.yaml")
+    assert SECRET not in str(refused.value)
 
 
 def camera(**words):
@@ -189,3 +246,9 @@ def test_a_variable_without_a_source_is_an_error_that_does_not_show_it(environ, 
     with pytest.raises(UsageError, match=why) as refused:
         camera(source_env="CAM").source_in_use(environ)
     assert "concat" not in str(refused.value)
+
+
+@pytest.mark.parametrize("words", [{}, {"source": "0", "source_env": "CAM"}])
+def test_a_camera_has_one_source(words):
+    with pytest.raises(ValueError, match="either source or source_env"):
+        camera(**words)

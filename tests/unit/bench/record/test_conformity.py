@@ -29,6 +29,12 @@ def test_a_value_passes_only_if_it_is_inside_by_its_expanded_uncertainty(upper, 
     assert judgement["passed"] is (verdict == "pass")
 
 
+def test_each_value_has_the_guard_band_of_its_own_coverage_factor():
+    assert judged({"result": "k1", "upper": -0.097})["passed"]
+    assert not judged({"result": "k1", "upper": -0.0971})["passed"]
+    assert judged() is None
+
+
 def test_limits_of_the_station_count_as_those_of_the_sequence():
     loose, tight = (ResultLimitConfig(result="r", lower=low) for low in (200.0, 254.9))
     judgement = conformity(calibration(), {"station": (tight,), "sequence": (loose,)}, ())
@@ -37,6 +43,12 @@ def test_limits_of_the_station_count_as_those_of_the_sequence():
         ("sequence", "pass"),
     ]
     assert not judgement["passed"]
+
+
+def test_a_value_that_was_not_estimated_does_not_pass():
+    judgement = judged({"result": "k2", "upper": 1.0})
+    assert not judgement["passed"]
+    assert "k2: this calibration did not estimate it" in conformity_sentences(judgement)[0]
 
 
 @pytest.mark.parametrize(

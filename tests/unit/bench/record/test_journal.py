@@ -6,13 +6,15 @@ import json
 import os
 import subprocess
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bench.base.errors import JournalBroken, StorageError
-from bench.record.journal import CLOCK_JUMPED, Journal, read_journal
+from bench.base.errors import JournalBroken, RunFolderError, StorageError
+from bench.record.journal import CLOCK_JUMPED, Journal, lines_after, read_journal
 
 START = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=UTC)
 
@@ -48,6 +50,12 @@ def three_lines(path, clocks):
         journal.append("state", to="homing")
         journal.append("finished")
     return path
+
+
+def test_numpy_paths_and_dates_are_written_as_json(path, clocks):
+    with Journal.create(path, **clocks.kwargs()) as journal:
+        data = journal.append("x", a=np.float64(1.5), b=np.arange(3), c=Path("a/b"), d=START, e=np.True_).data
+    assert data == {"a": 1.5, "b": [0, 1, 2], "c": "a/b", "d": "2026-03-01T12:00:00.123456+00:00", "e": True}
 
 
 def test_a_shell_can_check_a_line_without_this_program(three_lines):
@@ -139,11 +147,27 @@ def test_a_line_with_a_new_hash_of_its_own_is_found(three_lines, at, change, say
         read_journal(three_lines)
 
 
+def test_a_journal_larger_than_any_is_refused(three_lines, monkeypatch):
+    monkeypatch.setattr("bench.record.journal.MOST_JOURNAL_BYTES", three_lines.stat().st_size)
+    assert len(read_journal(three_lines)[0]) == 3
+    monkeypatch.setattr("bench.record.journal.MOST_JOURNAL_BYTES", three_lines.stat().st_size - 1)
+    with pytest.raises(JournalBroken, match=r"The journal has more than \d+ bytes"):
+        read_journal(three_lines)
+
+
 def test_the_name_of_a_new_journal_and_every_line_are_synced(path, clocks, synced):
     with Journal.create(path, **clocks.kwargs()) as journal:
         assert synced == [path.parent]
         journal.append("a")
         assert synced == [path.parent, path]
+
+
+def test_a_broken_journal_is_left_as_it_is(three_lines, clocks):
+    broken = three_lines.read_bytes().replace(b"homing", b"hominG") + b"torn"
+    three_lines.write_bytes(broken)
+    with pytest.raises(JournalBroken, match="restore it from a copy"):
+        Journal.open(three_lines, **clocks.kwargs())
+    assert three_lines.read_bytes() == broken
 
 
 def test_a_jump_of_the_system_clock_is_told_also_between_two_processes(path, clocks):
@@ -171,6 +195,11 @@ def test_data_that_cannot_stand_in_a_line_is_refused(path, clocks, data):
             journal.append("bad", **data)
         journal.append("good")
     assert [e.event for e in read_journal(path)[0]] == ["good"]
+
+
+def test_a_journal_is_never_begun_twice(three_lines, clocks):
+    with pytest.raises(RunFolderError, match="exists already"):
+        Journal.create(three_lines, **clocks.kwargs())
 
 
 def test_a_full_disk_leaves_no_half_line_and_the_journal_goes_on(three_lines, clocks, monkeypatch):
@@ -287,3 +316,10 @@ def test_only_zeros_of_the_last_blocks_are_a_cut_of_power(path, clocks, lines, b
         return
     with pytest.raises(JournalBroken, match=r"journal.jsonl:\d: .*restore it from a copy"):
         read_journal(path)
+
+
+def test_lines_since_a_moment_are_whole_ones_and_nothing_of_the_one_before(three_lines):
+    size = three_lines.stat().st_size
+    with three_lines.open("ab") as file:
+        file.write(b'{"seq":3,"event":"x","n":1}\n{"seq":4,"event":"y"')
+    assert list(lines_after(three_lines, size - 10)) == [("x", {"n": 1})]

@@ -1,5 +1,6 @@
 """Breaks of the ledger: whatever is taken out of it is noticed by the next run, by a check, and by a certificate."""
 
+import json
 import tempfile
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,7 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
-from bench.record.ledger_marks import MARK
+from bench.record.ledger_marks import MARK, RunFault, highest_counts
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -101,12 +102,29 @@ def test_the_own_mark_deleted_is_noticed_though_the_ledger_is_whole(ledger):
     assert len(faults(ledger)) == 1  # recorded once
 
 
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"[1]", b'{"lines":0}', b"\xff", b"[" * 100_000, b'{"lines":true}']
+)
+def test_an_own_mark_of_another_program_is_noticed(ledger, content):
+    runs(ledger, 1)
+    (ledger.home / MARK).write_bytes(content)
+    assert "cannot be read" in faults(ledger)[0]
+    assert "faults" in begin(ledger)
+
+
 def test_a_process_killed_after_the_first_line_of_a_ledger_leaves_no_break(ledger):
     ledger.home.mkdir()
     with Journal.create(ledger.path, **CLOCKS) as journal:
         journal.append("run_begun", number=1, run="r", folder="/r", camera="1", simulated=False)
     assert ledger.breaks() == ([], [])
     assert begin(ledger)["number"] == 2
+
+
+def test_a_ledger_set_back_to_its_first_run_with_its_mark_deleted_is_noticed(ledger):
+    runs(ledger, 2)
+    cut(ledger, 2)
+    (ledger.home / MARK).unlink()
+    assert faults(ledger) == ["The bench's own mark of the ledger (ledger_high) was deleted."]
 
 
 def test_an_explained_break_stands_in_the_ledger_and_is_no_fault_any_more(ledger):
@@ -136,6 +154,23 @@ def test_a_home_that_cannot_be_written_after_the_begin_stops_no_run(ledger):
     with mock.patch("bench.record.ledger.write_own_mark", side_effect=failed):
         assert begin(ledger)["number"] == 1
     assert "disk is full" in ledger.warnings[0]
+
+
+def test_a_mark_of_earlier_versions_that_names_second_places_is_read(ledger):
+    runs(ledger, 1)
+    mark = json.loads((ledger.home / MARK).read_bytes())
+    (ledger.home / MARK).write_text(json.dumps({**mark, "anchors": ["/mnt/office/bench2.heads"]}) + "\n")
+    assert ledger.breaks() == ([], [])
+    assert begin(ledger)["number"] == 2
+
+
+def test_a_break_keeps_the_highest_number_of_each_series(ledger):
+    runs(ledger, 1)
+    for count in (1, 2):
+        ledger.append("certificate_reserved", number=f"2026-{count:04}", series="2026", count=count)
+    ledger.path.unlink()
+    begin(ledger)
+    assert highest_counts(ledger.entries()) == {"2026": 2}
 
 
 class LedgerStory(RuleBasedStateMachine):
@@ -258,6 +293,12 @@ def test_an_explained_run_that_comes_back_changed_is_a_fault_again(ledger, lost_
     (lost_run / "SHA256SUMS").write_text("sealed again")
     (fault,) = ledger.faults()
     assert "was changed after sealing" in str(fault)
+
+
+def test_an_explained_run_stays_explained_if_the_fault_is_told_in_other_words(ledger, lost_run, monkeypatch):
+    ledger.explain("The disk broke.", "ada")
+    monkeypatch.setattr(RunFault, "__str__", lambda self: "other words")
+    assert ledger.faults() == []
 
 
 def test_a_mark_that_the_disk_does_not_give_is_an_error_of_the_disk_and_no_break(ledger):

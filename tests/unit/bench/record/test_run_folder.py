@@ -3,6 +3,7 @@
 import errno
 import os
 import pwd
+import re
 import shutil
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from bench.record import run_folder as run_folder_module
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name, stored_captures
 from bench.record.recovery import recover
 from bench.record.run_folder import RunFolder
-from bench.record.storage import HASH_CHUNK_BYTES
+from bench.record.storage import HASH_CHUNK_BYTES, write_atomic
 
 HOLD = "import sys; from pathlib import Path; from bench.record.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"
 
@@ -68,6 +69,22 @@ def test_a_folder_whose_making_was_cut_short_is_made_again(tmp_path):
     RunFolder.create(tmp_path / "run").close()
     with RunFolder.create(tmp_path / "run") as again:
         assert again.path == tmp_path / "run"
+
+
+def test_a_file_in_the_way_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in ("file/run", "file"):
+        with pytest.raises(StorageError, match="file"):
+            RunFolder.create(tmp_path / path)
+
+
+def test_no_permission_is_told(tmp_path, monkeypatch):
+    def deny(self, *_args, **_kwargs):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+
+    monkeypatch.setattr("pathlib.Path.mkdir", deny)
+    with pytest.raises(StorageError, match=r"run: No permission\. Change its mode"):
+        RunFolder.create(tmp_path / "run")
 
 
 def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
@@ -127,7 +144,23 @@ def test_a_new_run_in_the_folder_of_another_offers_resume_only_if_that_can_work(
     assert (f"starbench resume '{path}'" in refused.value.remedy) == (not sealed)
 
 
+def test_a_refusal_leaves_no_file_open(run, journal):
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(RunFolderError, match="Another process"):
+        RunFolder.open(run.path)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
 # ------------------------------------------------------------------ whole files
+
+
+def test_a_file_that_may_not_be_written_is_named_by_its_own_name(tmp_path, monkeypatch):
+    def refused(path, *_args):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(os, "open", refused)
+    with pytest.raises(StorageError, match=re.escape(f"{tmp_path / 'my.yaml'}: No permission")):
+        write_atomic(tmp_path / "my.yaml", b"")
 
 
 @pytest.mark.parametrize("call", ["write", "fsync"])
@@ -207,6 +240,14 @@ def test_a_capture_is_synced_before_and_after_it_gets_its_name(run, monkeypatch)
     assert calls == ["sync pose-001-attempt-1.raw.part", "rename", "sync captures"]
 
 
+def test_a_capture_is_never_written_over(run):
+    record(run, 1, 1, b"first")
+    run.part_path(capture_name(1, 1)).write_bytes(b"second")
+    with pytest.raises(RunFolderError, match="never overwritten"):
+        run.commit(capture_name(1, 1))
+    assert (run.path / capture_name(1, 1)).read_bytes() == b"first"
+
+
 # ------------------------------------------------------------------ after a crash
 
 
@@ -243,6 +284,14 @@ def test_after_a_crash_only_a_whole_capture_that_the_journal_names_stays(run, jo
         journal.append(CAPTURE_STORED, capture="captures/x.raw")
         with pytest.raises(RunFolderError, match="without its name, size or hash"):
             recover(run, journal)
+
+
+def test_what_is_set_aside_twice_is_kept_twice(run, journal):
+    for data in (b"one", b"two"):
+        record(run, 1, 1, data)
+        recover(run, journal)
+    kept = sorted(p.read_bytes() for p in (run.path / "quarantine").iterdir())
+    assert kept == [b"one", b"two"]
 
 
 def test_work_is_seen_to_go_on_while_a_long_recording_is_hashed(run):

@@ -1,5 +1,7 @@
 """The index of runs: nothing but what the journals say, however old or broken the index itself is."""
 
+import errno
+import os
 import sqlite3
 from contextlib import closing
 from datetime import UTC, datetime
@@ -12,7 +14,7 @@ from bench.record.coverage import Estimate
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
-from bench.record.run_index import RunIndex, read_run_and_details
+from bench.record.run_index import INDEX, RunIndex, read_run_and_details, run_folders
 from bench.solve.agreement import agreement, compare_runs
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
@@ -80,6 +82,15 @@ def test_the_journal_alone_says_the_same_as_the_index(index, three, name):
     assert read_run_and_details(folder)[0] == index.runs([folder])[0][0]
 
 
+def test_the_folders_of_runs_are_found_two_deep(tmp_path, three):
+    (tmp_path / "runs" / "journal.jsonl").write_text("")  # a batch's
+    (tmp_path / "runs" / "queue.yaml").write_text("")
+    assert run_folders(tmp_path / "runs") == sorted(three)
+    assert run_folders(three[0]) == [three[0]]
+    with pytest.raises(StorageError, match="no such folder"):
+        run_folders(tmp_path / "none")
+
+
 def test_a_journal_that_went_on_is_read_again(index, tmp_path):
     path = make(tmp_path / "run", ended=None)
     assert index.runs([path])[0][0].how == "cut off"
@@ -96,6 +107,12 @@ def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
     assert len(index.runs(three)[0]) == 3
 
 
+def test_a_seal_that_is_added_is_seen_although_the_journal_is_as_before(index, three):
+    assert not any(run.sealed for run in index.runs(three)[0])
+    (three[1] / "SHA256SUMS.sig").write_text("signature")
+    assert [run.id for run in index.runs(three)[0] if run.sealed] == ["a"]
+
+
 def test_a_run_is_listed_once_also_where_a_link_leads_to_it(index, tmp_path, three):
     link = tmp_path / "runs" / "link"
     link.symlink_to(three[0], target_is_directory=True)
@@ -105,6 +122,14 @@ def test_a_run_is_listed_once_also_where_a_link_leads_to_it(index, tmp_path, thr
     assert [run.folder for run in runs] == [
         str(folder.resolve()) for folder in (three[1], three[2], three[0])
     ]
+
+
+def test_a_list_tells_how_far_it_is(index, tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.record.run_index.COMMIT_EVERY", 2)
+    folders = [make(tmp_path / "runs" / name) for name in "abcde"]
+    counts = []
+    index.runs(folders, progress=counts.append)
+    assert counts == [2, 2, 2]
 
 
 @pytest.mark.parametrize("harm", ["garbage", "older", "deleted"])
@@ -122,6 +147,14 @@ def test_an_index_that_does_not_hold_is_made_anew(index, three, harm):
     assert index.runs(three) == before
 
 
+def test_details_are_those_of_the_journal_also_where_the_index_was_deleted_since(index, three):
+    runs, _ = index.runs(three)
+    kept = list(index.details(runs))
+    index.path.unlink()
+    assert list(index.details(runs)) == kept
+    assert [details["deviations"] for _, details in kept] == [["so"]] * 3
+
+
 def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
     journal = three[0] / "journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b"Three", b"Seven"))
@@ -129,6 +162,15 @@ def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
     assert [run.id for run in runs] == ["a", "b"]
     assert len(faults) == 1
     assert str(journal) in faults[0]
+
+
+def test_a_folder_that_may_not_be_read_is_not_called_empty(tmp_path, monkeypatch):
+    def refused(path):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(os, "scandir", refused)
+    with pytest.raises(StorageError, match="No permission"):
+        run_folders(tmp_path)
 
 
 def test_an_index_on_a_full_disk_asks_for_room_and_not_to_be_deleted(index, three, monkeypatch):
@@ -143,6 +185,26 @@ def test_an_index_on_a_full_disk_asks_for_room_and_not_to_be_deleted(index, thre
     with pytest.raises(StorageError, match="Make room on its disk") as refused:
         index.runs(three)
     assert "Delete it" not in str(refused.value)
+
+
+def test_an_index_that_cannot_be_written_says_so(index, tmp_path, three, monkeypatch):
+    def refused(*_, **__):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sqlite3, "connect", refused)
+        with pytest.raises(StorageError, match="disk is full"):
+            index.runs(three)
+    (tmp_path / "other" / INDEX).mkdir(parents=True)
+    with pytest.raises(StorageError):
+        RunIndex(tmp_path / "other").runs(three)
+
+
+def test_an_index_that_cannot_be_made_is_not_to_be_deleted(index):
+    index.path.parent.mkdir(exist_ok=True)
+    index.path.symlink_to(index.path.parent / "nowhere" / "index")
+    with pytest.raises(StorageError, match=r"cannot be used.*Change mode or owner of its folder"):
+        index.runs([])
 
 
 # ---------------------------------------------------------------- comparing

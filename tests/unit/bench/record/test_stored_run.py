@@ -38,6 +38,12 @@ def test_the_first_value_of_another_form_is_named_at_its_place(change, place):
         results_of(changed(change), RESULTS)
 
 
+@pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"a": 1, "a": 2}', b"\xff", b"[" * 100_000])
+def test_what_is_no_json_of_results_is_refused_in_words(data):
+    with pytest.raises(RunFolderError, match="The results"):
+        results_of(data, RESULTS)
+
+
 def test_a_folder_without_a_journal_is_no_run(tmp_path):
     with pytest.raises(RunFolderError, match=r"no journal\.jsonl"):
         StoredRun.open(tmp_path)

@@ -34,6 +34,15 @@ def test_the_command_can_work(tmp_path, monkeypatch, history, command):
     assert way_on(history, tmp_path.relative_to(tmp_path) / "run")[1] == command
 
 
+def test_a_run_of_an_earlier_version_begins_again_with_the_copies_of_its_files(tmp_path):
+    history = ended("PreflightFailed", recorded=0)
+    history.started = {}
+    run = tmp_path / "run"
+    sentence, command = way_on(history, run)
+    assert command == f"starbench run {run / 'sequence.yaml'} --station {run / 'station.yaml'}"
+    assert f"`starbench resume {run}`. If a file was wrong" in sentence
+
+
 def test_commands_are_pasted_whole_from_a_folder_with_a_space(tmp_path):
     run = tmp_path / "cam 7"
     assert way_on(History(), run)[1] == f"starbench resume '{run}'"

@@ -76,6 +76,22 @@ def test_nothing_in_a_summary_becomes_markup():
     assert html.count("&lt;script&gt;") >= 3
 
 
+def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
+    cameras = [of_runs([run(n) for n in range(4)])]
+    html = render_batch(summary(item("a-001", report="runs/a-001/report.html"), cameras=cameras))
+    assert [link for link in Structure(html).links if not link.startswith("#")] == ["runs/a-001/report.html"]
+    assert "@import" not in html
+    assert "expanded uncertainty with k = 2.2, 2.3" in html
+
+
+def test_the_page_has_the_command_by_which_each_begun_run_goes_on():
+    failed = item("cam-1", "failed", "The lamp is open.")
+    page = render_batch(summary(failed, item("cam-2", "not begun", begun_utc=None), how="failed"))
+    assert "starbench resume runs/cam-1" in page
+    assert "resume runs/cam-2" not in page
+    assert "starbench resume" not in render_batch(summary(failed, how="failed", rehearsal=True))
+
+
 def test_the_page_says_in_words_whether_the_results_agree():
     def page(*runs):
         return render_batch(summary(cameras=[of_runs(runs)]))
@@ -116,6 +132,14 @@ def test_a_run_is_green_only_without_any_reservation(facts, pill):
 def test_what_is_not_measured_says_so_at_the_top(flag):
     html = render_batch(summary(item("a-001"), **{flag: True}))
     assert '<div class="simulated-bar">' + flag.upper() in html
+
+
+def test_the_mean_of_many_runs_is_not_better_than_what_they_share():
+    drawn = np.random.default_rng(4)
+    runs = [run(n, fx=0.3 * drawn.normal(), sigma=0.5, shared=0.4, hours=0.1 * n) for n in range(60)]
+    fx = agreements(runs)[0]
+    assert 0.4 < fx.sigma < 0.41
+    assert fx.expanded == 2.2 * fx.sigma
 
 
 def test_runs_that_differ_much_less_than_they_say_are_told_and_their_mean_is_not_better():

@@ -54,6 +54,12 @@ def test_a_recording_shows_why_it_was_refused(page):
     ]
 
 
+def test_the_truth_has_the_digits_of_the_uncertainty(page):
+    fx, _, cx = cells(page, "Comparison with the simulated truth")[:3]
+    assert fx == ["fx", "3346.4", "± 4.3", "3345.1", "1.3", "0.61"]
+    assert cx[4:] == [f"{MINUS}1.6", f"{MINUS}1.22"]
+
+
 def test_a_chart_counts_the_runs_beyond_each_limit_and_marks_a_drift_that_is_seen():
     drifting = steady(
         30, np.random.default_rng(5), ("fx", "k1"), lambda n, name: 0.3 * n if name == "fx" else 0.0

@@ -1,5 +1,6 @@
 """Of many poses a page pictures few: the worst, those with gates not passed, others evenly; and says so."""
 
+import copy
 import re
 from dataclasses import replace
 
@@ -83,6 +84,14 @@ def test_a_page_of_many_poses_says_how_many_it_pictures(page):
     assert len(re.findall(r'<svg class="pose"', page)) == MOST
     assert 'aria-label="Image and stars of pose 31"' in page
     assert any(words.startswith("Images of 24 of 50 poses:") for words in printed_text(page))
+
+
+def test_other_results_give_another_choice(many):
+    results = copy.deepcopy(dict(many.results))
+    before = pictured_poses(results).names
+    left_out = next(pose for pose in results["poses"] if pose["name"] not in before)
+    left_out["rms_px"] = 0.3
+    assert left_out["name"] in pictured_poses(results).names
 
 
 def stars(n, views):

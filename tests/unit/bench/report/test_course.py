@@ -75,6 +75,12 @@ def test_a_goal_that_was_not_met_is_named_before_the_values(how):
     assert alerts({"untils": COURSE, "calibration": {"notes": []}}) == []
 
 
+def test_one_that_a_stop_cut_off_says_so_and_names_are_escaped():
+    (course,) = courses(COURSE[:2])
+    assert course["end"] == "The step did not end."
+    assert "<script>" not in page([decided(4, 2.5, 0.4, **chosen(5, {}, "<script>"))])
+
+
 def test_a_goal_missed_by_little_is_seen_to_be_missed():
     late = decided(5, 2.0004, 0.3, ended="at_most", why="")
     assert "U(fx) 2.0004 px (wanted 2), U at the corners 0.3 px (wanted 0.3)." in reached_text(late)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.distortion_plot import displacement, distortion_curve, field_angles_deg
 from bench.report.maps import round_levels, sensor_map
+from bench.report.supported import reach_px, star_distance
 from calib.uncertainty.projection_uncertainty import sensor_grid
 
 
@@ -59,3 +60,12 @@ def test_a_fisheye_lens_is_drawn_against_its_own_ideal():
     theta = np.radians(60.0)
     np.testing.assert_allclose(shown, [0, 300 * 0.01 * theta**3], atol=1e-6)
     assert sigma[1] > 0
+
+
+def test_stars_support_their_surroundings_only():
+    distance = star_distance(np.array([[100.0, 50.0], [-3.0, 1e9]]), (400, 300))
+    assert distance.shape == (300, 400)
+    assert distance[50, 100] == 0
+    assert distance[299, 0] == 0  # outside: the nearest pixel
+    assert distance[50, 140] == pytest.approx(40, abs=0.01)
+    assert reach_px((400, 300)) == pytest.approx(25.0)

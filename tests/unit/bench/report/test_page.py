@@ -28,6 +28,13 @@ def test_every_element_is_closed_and_every_id_is_unique(html):
     assert references <= set(ids)
 
 
+def test_every_picture_has_a_name_for_those_who_do_not_see_it(html):
+    pictures = re.findall(r'<svg [^>]*role="img"[^>]*>', html)
+    labels = [re.search(r'aria-label="([^"]+)"', picture) for picture in pictures]
+    assert all(labels)
+    assert len({label[1] for label in labels}) == len(pictures) == 12
+
+
 def test_it_needs_no_network_and_runs_no_script(html):
     structure = Structure(html)
     assert not {"script", "iframe", "object", "embed", "link", "form", "base"} & set(structure.tags)
@@ -41,6 +48,11 @@ def test_it_needs_no_network_and_runs_no_script(html):
     assert all(value.startswith(("#", "data:image/")) for value in loaded)
     assert not re.findall(r"url\((?!#)", html)
     assert "@import" not in html
+
+
+def test_it_forbids_all_but_its_own_pictures_and_style(html):
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', html)
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline';")
 
 
 def test_the_same_data_give_the_same_bytes_in_another_process(html, tmp_path):

@@ -20,6 +20,14 @@ def test_each_pose_is_pictured_with_its_stars_where_they_are(data, html):
         np.testing.assert_allclose(crosses, view.reprojected, atol=0.006)
 
 
+def test_pixel_centres_lie_at_integers_in_the_pictures(html):
+    (places,) = {
+        tuple(map(float, p))
+        for p in re.findall(r'<image x="([^"]*)" y="([^"]*)" width="320" height="180"', html)
+    }
+    assert places == (-0.5, -0.5)
+
+
 def test_the_star_with_the_largest_residual_is_looked_at_closely(data, html):
     pictures = re.findall(r'<svg class="pose".*?</svg></svg>', html, re.DOTALL)
     for view, picture in zip(data.views, pictures, strict=True):

@@ -21,6 +21,13 @@ def test_gates_that_did_not_pass_and_deviations_stand_before_the_result(data):
     assert "Calibrated, but 1 of 1 gates fails." in before
 
 
+def test_an_error_that_ended_the_run_before_it_was_resumed_keeps_its_kind_and_place(data):
+    error = {"kind": "PortLost", "what": "The port is gone.", "where": "/dev/gimbal", "remedy": "Plug it in."}
+    html = page_with(data, gates=[], deviations=[], failures=[error])
+    text = "The run failed and was resumed. PortLost (/dev/gimbal): The port is gone."
+    assert html.count(text) == 2  # before the result, and among the deviations
+
+
 def test_a_truth_is_printed_to_the_digits_of_its_value(data):
     shown = page_with(data).partition("Comparison with the simulated truth</h2>")[2].partition("</table>")[0]
     rows = [re.findall(r'<td class="n"[^>]*>(.*?)</td>', row) for row in shown.split("</tr>")[1:-1]]
@@ -39,3 +46,17 @@ def test_every_table_scrolls_by_itself_and_its_headings_say_what_they_head(html)
     ]  # which fits any screen
     assert page.xpath("//th[not(@scope)]") == []
     assert all(head.text_content().strip() for head in page.xpath("//th"))
+
+
+def luminance(colour):
+    def linear(part):
+        share = int(part, 16) / 255
+        return share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4
+
+    r, g, b = (linear(colour[i : i + 2]) for i in (1, 3, 5))
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+def contrast(first, other):
+    high, low = sorted((luminance(first), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from bench.measure.view_picture import ViewPicture
 from bench.report.contours import outlines
 from bench.report.svg_plot import Key, Picture, Words, axes_in
-from bench.report.svg_scale import Scale, tick_labels, ticks
+from bench.report.svg_scale import Scale, log_ticks, tick_labels, ticks
 from tests.unit.bench.report.structure import Structure
 
 # ---------------------------------------------------------------- the frame
@@ -22,6 +23,14 @@ def framed(x=None, y=None, words=None, size=(280.0, 190.0), **more):
     picture = Picture(*size, "p", "a plot")
     axes = axes_in(picture, x or Scale(0, 10), y or Scale(0, 1), words or Words(("t",), "x", "y"), **more)
     return axes, picture
+
+
+def views(count, names=None):
+    points = np.random.default_rng(1).uniform(0, 100, (30, 2))
+    return [
+        ViewPicture((names or {}).get(n, f"pose {n}"), None, points, points - 0.1, np.arange(30))
+        for n in range(count)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -83,6 +92,21 @@ def test_ticks_are_few_round_numbers_within_the_range(low, span, most):
     if len(places) > 1:
         assert float(f"{step:.0e}") == pytest.approx(step, rel=1e-6)
         assert len(set(tick_labels(places))) == len(places)
+
+
+def test_a_range_that_is_upside_down_has_its_first_value_at_the_bottom():
+    rows = Scale(719.5, -0.5)
+    np.testing.assert_allclose(rows.share([719.5, 359.5, -0.5]), [0, 0.5, 1])
+    assert [label for _, label in rows.chosen_ticks(4)] == ["0", "200", "400", "600"]
+
+
+def test_a_logarithmic_axis_spreads_ratios_evenly_and_has_round_numbers():
+    np.testing.assert_allclose(Scale(1, 100, "log").share([1, 10, 100]), [0, 0.5, 1])
+    assert log_ticks(0.7, 30) == [1, 2, 5, 10, 20]
+    assert log_ticks(1e-4, 1e4, 5)[0] == 1e-4
+    assert set(np.log10(log_ticks(1e-4, 1e4, 5)) % 1) == {0}
+    assert log_ticks(3.1, 3.9) == [3.2, 3.4000000000000004, 3.6, 3.8000000000000003]
+    assert [label for _, label in Scale(3.1, 3.9, "log").chosen_ticks(5)] == ["3.2", "3.4", "3.6", "3.8"]
 
 
 # ---------------------------------------------------------------- outlines of the part of a map that reaches a level

@@ -1,15 +1,19 @@
 """The report prints every number of the results, each value with its uncertainty."""
 
 import copy
+import re
 from decimal import Decimal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from report_sample import COLLIMATOR, SIGMA, TRUE
+from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
 
+from bench.record.stored_calibration import camera_of
 from bench.report.html import ReportData, render_report
 from bench.wording.numbers import with_uncertainty
+from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from tests.support.printed_text import printed_text
 
 
@@ -83,6 +87,30 @@ def test_the_expanded_uncertainty_takes_the_factor_that_few_poses_ask_for(data):
     assert "± 7.5" in compared
 
 
+def test_a_collimator_s_imperfections_are_named_with_their_uncertainty(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["model"] = "pupil"
+    results["calibration"]["collimator"]["pupil_shift"] = -0.0712
+    results["calibration"]["sigma"]["pupil_shift"] = 0.0052
+    words = printed_text(render_report(ReportData(results)))
+    place = words.index("collimator: reticle out of focus")
+    assert words[place - 1 : place + 3] == ["pupil shift", words[place], "\N{MINUS SIGN}0.071", "± 0.011"]
+    assert any("model “pupil”" in word for word in words)
+
+
+def shown_of(html, title):
+    """What a map of the report states: its largest value."""
+    return re.findall(rf">{title}, px</text>\s*<text[^>]*>median [\d.e+\-]+, at most ([\d.e+\-]+)<", html)
+
+
+def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html):
+    # of the shown digits, "at most" is k times what the engine's own map says
+    calibration = data.results["calibration"]
+    covariance = np.array(calibration["covariance"]["matrix"])[:6, :6]
+    uncertainty = projection_uncertainty(camera_of(calibration["camera"], SMALL), covariance)
+    assert shown_of(html, "U of an image point") == [f"{2 * uncertainty.worst_px:.2g}"]
+
+
 @given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e5))
 def test_a_value_is_rounded_to_two_digits_of_its_uncertainty(value, expanded):
     texts = with_uncertainty(value, expanded)
@@ -93,3 +121,8 @@ def test_a_value_is_rounded_to_two_digits_of_its_uncertainty(value, expanded):
     assert printed_value % step == 0
     assert abs(printed_value - Decimal(value)) <= step / 2 + Decimal(abs(value)).scaleb(-15)
     assert Decimal("0.99") * Decimal(repr(expanded)) <= printed_expanded <= Decimal("1.1") * Decimal(expanded)
+
+
+@pytest.mark.parametrize("expanded", [0.0, float("nan"), float("inf")])
+def test_without_an_uncertainty_none_is_printed(expanded):
+    assert with_uncertainty(3345.0637, expanded) == ("3345.06", "\N{EN DASH}")

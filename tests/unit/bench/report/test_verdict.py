@@ -56,6 +56,24 @@ def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not
     assert "Held by ada@lab" in page
 
 
+def test_without_convergence_no_value_is_stated(data):
+    results = copy.deepcopy(dict(data.results))
+    results["calibration"]["converged"] = False
+    judged = verdict(results)
+    assert (judged.kind, judged.headline) == ("fail", "Not calibrated.")
+    assert judged.sentences == ("The optimisation did not converge: do not use the values.",)
+    assert judged.sentences[0] in render_report(type(data)(results))
+
+
+def test_results_of_earlier_versions_still_name_a_worst_corner(data):
+    results = {key: value for key, value in data.results.items() if key not in ("projection", "previous")}
+    worst = "Error of an image point in the worst corner: at most 0.9"
+    assert any(sentence.startswith(worst) for sentence in verdict(results).sentences)
+    assert change(results) is None
+    first = {"run": None, "why_not": "This is the first calibration of this camera on this bench."}
+    assert verdict_with(data, previous=first).sentences[-1] == first["why_not"]
+
+
 def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
     results = copy.deepcopy(dict(data.results))
     results["previous"]["change"] |= {"largest_ratio": 2.4, "px_there": 0.31, "largest_px": 0.44}

@@ -34,6 +34,12 @@ def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
     assert "ledger" not in " ".join(printed_text(render_report(ReportData(results)))).lower()
 
 
+def test_the_journal_and_the_way_to_verify_are_told(html, data):
+    words = printed_text(html)
+    assert data.journal_head in words
+    assert any("ssh-keygen -Y verify" in word for word in words)
+
+
 def test_nothing_is_claimed_that_was_not_done(html):
     words = " ".join(printed_text(html)).lower()
     assert "not a certificate" in words

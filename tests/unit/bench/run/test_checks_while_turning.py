@@ -9,11 +9,13 @@ from quick_runs import THREE
 from rehearsed import Scene, with_runner
 
 import bench.batch.rehearsal
+from bench.base.clock import BenchClock
 from bench.measure.measure import Measurement
 from bench.plan.plan import CHECK_S
 from bench.record.events import Event
 from bench.record.history import replay
 from bench.record.journal import read_journal
+from bench.run.control import Command
 from drivers.errors import PortLost
 from sequences.script import RecordStep
 
@@ -153,3 +155,38 @@ def test_an_interlock_while_the_stage_turns_holds_the_run_and_the_check_counts_a
     assert scene.run().how == "finished"
     assert len(scene.data_of(Event.CAPTURE_STORED)) == 3
     see_each_pose_once(scene)
+
+
+def test_a_pose_in_check_that_an_operator_skips_counts_if_it_is_accepted_and_is_skipped_if_not(
+    tmp_path, reject, monkeypatch
+):
+    for name, rejected, poses in (("good", set(), [1, 2, 3]), ("bad", {"pose-001-attempt-1"}, [2, 3])):
+        (tmp_path / name).mkdir()
+        scene = with_runner(Scene(tmp_path / name, poses=THREE), monkeypatch)
+        reject(rejected)
+        moves = []
+
+        def skip(call, scene=scene, moves=moves):
+            if call == "stage.move_to":
+                moves.append(call)
+                if len(moves) == 2:
+                    scene.runner.inbox.decide(Command(word="skip", by="ada", pose=1), "request")
+
+        scene.hook = skip
+        assert scene.run().how == "finished"
+        history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+        assert sorted(history.accepted()) == poses, name
+        assert (1 in history.skipped) is (name == "bad")
+
+
+def test_work_in_parallel_goes_on_while_the_caller_waits_and_its_error_is_raised_where_its_result_is_asked_for():
+    clock = BenchClock()
+    result = clock.in_parallel(lambda: 6 * 7)
+    assert result() == 42
+
+    def fail():
+        raise OSError("no such recording")
+
+    failed = clock.in_parallel(fail)
+    with pytest.raises(OSError, match="no such recording"):
+        failed()

@@ -1,8 +1,10 @@
 """Commands of operators: who may give them, why they are refused, and that each is done once and removed."""
 
 import json
+import os
 import threading
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -13,12 +15,14 @@ from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.record import inbox as inbox_module
 from bench.record.events import Entering, Event
+from bench.record.folder_lock import is_locked
 from bench.record.history import Attempt, History, replay
 from bench.record.journal import Journal, read_journal
 from bench.record.run_folder import RunFolder
 from bench.record.run_log import RunLog
 from bench.run.control import CONTROL, Command, CommandInbox, refusal, send
 
+RUN = Path("runs/cam 7")
 POSES = {1: "left", 2: "right", 3: "below"}
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -151,6 +155,21 @@ def test_a_command_to_a_dead_process_is_answered_and_not_done(run):
     assert "has died" in answer["why"]
 
 
+@pytest.mark.timeout(60)
+def test_a_file_that_is_not_a_command_is_reported_and_removed(run):
+    folder, log, clock = run
+    with CommandInbox(folder, log, POSES, clock):
+        inbox = folder / CONTROL
+        (inbox / "a.json").write_text('{"word": "explode", "by": "ada"}')
+        (inbox / "b.json").write_bytes(b"\xff" * 10_000)
+        (inbox / "c").mkdir()
+        os.mkfifo(inbox / "d.json")
+        (inbox / "e.json").symlink_to("/dev/zero")
+        while any(not path.name.startswith(".") for path in inbox.iterdir()):
+            clock.sleep(0.02)
+    assert [a["why"] for a in answers(folder)] == ["it is not a command"] * 5
+
+
 def test_an_answer_that_cannot_be_journaled_fails_the_run_and_is_not_an_abort(run):
     folder, log, clock = run
     inbox = CommandInbox(folder, log, POSES, clock).open()
@@ -160,6 +179,16 @@ def test_an_answer_that_cannot_be_journaled_fails_the_run_and_is_not_an_abort(ru
     with pytest.raises(StorageError):
         clock.check()
     inbox.close()
+
+
+def test_an_error_of_the_watching_thread_ends_the_run(run):
+    folder, log, clock = run
+
+    def broken():
+        raise ZeroDivisionError("a door with no hinge")
+
+    with CommandInbox(folder, log, POSES, clock, (broken,)), pytest.raises(ZeroDivisionError, match="hinge"):
+        clock.sleep(20)
 
 
 def test_a_command_to_a_run_that_is_ending_is_refused_as_too_late(run, monkeypatch):
@@ -173,6 +202,25 @@ def test_a_command_to_a_run_that_is_ending_is_refused_as_too_late(run, monkeypat
     monkeypatch.setattr(inbox_module, "write_atomic", too_late)
     with CommandInbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="is ending"):
         send(folder, command("hold"))
+
+
+def test_testing_the_lock_of_a_run_does_not_block_others(tmp_path):
+    RunFolder.create(tmp_path / "run").close()
+    stop = threading.Event()
+
+    def ask():
+        while not stop.is_set():
+            is_locked(tmp_path / "run")
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    try:
+        for _ in range(20):
+            RunFolder.create(tmp_path / "run").close()
+    finally:
+        stop.set()
+        asking.join()
+    assert not is_locked(tmp_path / "run")
 
 
 @given(st.binary(max_size=200) | st.dictionaries(st.text(), st.text()).map(lambda v: json.dumps(v).encode()))

@@ -16,8 +16,10 @@ from bench.evidence.verify import verify_folder
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.record.run_folder import JOURNAL, PAGE_SIGNATURE, REPORT, RunFolder
-from bench.run.ended_page import write_ended_page
+from bench.run.ended_page import remove_ended_page, write_ended_page
+from bench.wording.numbers import NOTHING
 from calib.target import StarTarget
+from tests.unit.bench.report.structure import cells
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 ERROR = {
@@ -82,6 +84,39 @@ def test_beside_the_refused_picture_stands_the_last_good_one_with_its_stars(fold
     assert np.count_nonzero(np.ptp(good, axis=2)) > 1000  # the rings alone have a colour
 
 
+def test_each_recording_shows_whether_it_was_accepted(folder, key):
+    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+        for attempt in (2, 3):
+            stored = {
+                "pose": 1,
+                "pose_name": "left",
+                "attempt": attempt,
+                "capture": f"captures/{attempt}.raw",
+            }
+            journal.append(Event.CAPTURE_STORED, **stored, facts={"events": 1234567})
+        journal.append(
+            Event.ATTEMPT_CHECKED, pose=1, attempt=2, accepted=True, stars=193, reasons=[], gates=[], measured={}
+        )  # fmt: skip
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
+    why = "The picture is dark; stars 0, needed >= 40"
+    assert cells((folder.path / REPORT).read_text(), "Recordings") == [
+        ["left", "1", "[fail] refused", "0", "49\u202f893", why, "captures/a.raw"],
+        ["left", "2", "[pass] accepted", "193", "1\u202f234\u202f567", NOTHING, "captures/2.raw"],
+        ["left", "3", "[marginal] not measured", NOTHING, "1\u202f234\u202f567", NOTHING, "captures/3.raw"],
+    ]
+
+
+def test_a_run_whose_journal_says_that_it_finished_keeps_its_report(folder, key):
+    """Only the sync of that line had failed: the run ended as a failed one, and is sealed when it is resumed."""
+    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+        journal.append(Event.RUN_RESUMED, torn_bytes=0, software={})
+        journal.append(Event.RUN_ENDED, how="finished", why="", devices=[])
+    (folder.path / REPORT).write_text("the report")
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
+    assert (folder.path / REPORT).read_text() == "the report"
+    assert not (folder.path / PAGE_SIGNATURE).exists()
+
+
 def verified(folder, tmp_path):
     verification = verify_folder(folder.path, read_signers(tmp_path / "home" / "allowed_signers"), now=NOW)
     assert not verification.ok
@@ -110,6 +145,16 @@ def test_verify_finds_a_changed_page_a_foreign_key_and_another_journal(folder, k
     assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, [])
     (folder.path / JOURNAL).write_bytes(b"".join(lines).replace(b"49893", b"49894"))
     assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, [])
+
+
+def test_a_run_that_goes_on_has_no_page_of_its_earlier_end(folder, key):
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
+    remove_ended_page(folder)
+    assert not (folder.path / REPORT).exists()
+    assert not (folder.path / PAGE_SIGNATURE).exists()
+    folder.write_atomic(REPORT, b"of the results")
+    remove_ended_page(folder)
+    assert (folder.path / REPORT).read_bytes() == b"of the results"
 
 
 def test_a_page_that_cannot_be_signed_is_said(folder):

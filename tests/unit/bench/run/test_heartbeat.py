@@ -16,6 +16,7 @@ from bench.record.journal_line import Entry
 from bench.run import heartbeat
 from bench.run.heartbeat import (
     CONTROL,
+    HEARTBEAT,
     REPEAT_S,
     WINDOW_S,
     BusyWatch,
@@ -84,6 +85,12 @@ def test_work_in_a_slow_state_may_take_long_but_not_for_ever(pulse, tmp_path, st
     assert not moments(pulse, tmp_path)
 
 
+def test_the_stall_limit_begins_anew_with_each_state(pulse, tmp_path):
+    pulse.bench_clock.quiet = 60.0  # a long calculation lies behind
+    pulse.entering("parking")
+    assert moments(pulse, tmp_path)
+
+
 @pytest.mark.parametrize(("letter", "given"), [("D", True), ("S", False), ("R", False)])
 def test_waiting_for_the_disk_is_not_a_stall(pulse, tmp_path, monkeypatch, letter, given):
     pulse.since_long("recording", 30.0)
@@ -107,6 +114,13 @@ def test_a_wait_and_a_check_of_the_work_count_as_activity():
         asks()
         assert clock.inactive_s() < 0.05
         time.sleep(0.05)
+
+
+@pytest.mark.parametrize("text", [b"", b"1 2", b"1 2 x", b"1 2 3 4", b"\xff\xfe"])
+def test_a_truncated_heartbeat_is_none(tmp_path, text):
+    (tmp_path / CONTROL).mkdir()
+    (tmp_path / CONTROL / HEARTBEAT).write_bytes(text)
+    assert read_heartbeat(tmp_path) is None
 
 
 def test_only_the_process_that_wrote_the_heartbeat_is_opened():
@@ -143,6 +157,19 @@ def test_a_lost_supervisor_is_reported_once(monkeypatch, tmp_path):
     assert not pulse.supervisor_is_gone()
     monkeypatch.setattr(os, "getppid", lambda: 1)
     assert [pulse.supervisor_is_gone(), pulse.supervisor_is_gone()] == [True, False]
+
+
+def test_a_supervisor_that_ended_before_its_worker_looked_is_lost_too(monkeypatch, tmp_path):
+    monkeypatch.setenv(SUPERVISOR, "999999999")
+    assert HeartbeatWriter(tmp_path, BenchClock()).supervisor_is_gone()
+
+
+@pytest.mark.parametrize("pid", ["", "1x"])
+def test_a_process_without_a_supervisor_loses_none(monkeypatch, tmp_path, pid):
+    monkeypatch.setenv(SUPERVISOR, pid)
+    pulse = HeartbeatWriter(tmp_path, BenchClock())
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    assert not pulse.supervisor_is_gone()
 
 
 # ---------------------------------------------------------------- a busy computer
@@ -190,6 +217,10 @@ def test_a_computer_that_is_late_for_half_of_the_time_is_too_busy():
     assert text.startswith("12:02:06 UTC  this computer is too busy: it was 5.0 s late in 10 s (load 19.5)")
 
 
+def test_it_is_said_again_after_a_minute():
+    assert len(lines_of(0.5, 2 * REPEAT_S)) == 2
+
+
 def test_a_busy_computer_that_sleeps_is_told_at_once():
     clock, log = LateClock(0.5), Log()
     watch = BusyWatch(log, clock)
@@ -203,3 +234,7 @@ def test_a_busy_computer_that_sleeps_is_told_at_once():
     clock.lateness = lambda: {"lost_s": 34.0, "longest_s": 14.0}
     watch.look()
     assert len(log.lines) == 2
+
+
+def test_a_computer_that_is_a_little_late_is_not_too_busy():
+    assert lines_of(0.2, 300.0) == []

@@ -2,17 +2,20 @@
 
 import os
 from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import pytest
 
 from bench.base.clock import Interrupted, VirtualClock
 from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks
+from bench.run.run_context import interlocks_of
 from bench.stations.station import Station
 from bench.stations.station_fields import (
     CameraTemperatureConfig,
     DiskSpaceConfig,
     DoorConfig,
     EventRateConfig,
+    InterlocksConfig,
 )
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
@@ -49,6 +52,12 @@ def test_a_silent_sensor_and_a_report_from_the_future_count_as_an_open_door(
     reason = Door(words, utc_s=lambda: 5000.0 + later_s).why(held=False)
     assert why in reason
     assert bool(reason) == bool(why)
+
+
+def test_a_pipe_in_place_of_a_sensor_is_an_open_door_and_does_not_block(tmp_path):
+    os.mkfifo(tmp_path / "value")
+    assert "not a regular file" in Door(DoorConfig(path=str(tmp_path / "value"))).why(held=False)
+    assert "cannot be read" in Door(DoorConfig(path=str(tmp_path))).why(held=False)
 
 
 def test_each_interlock_clears_at_a_stricter_limit(tmp_path):
@@ -117,3 +126,13 @@ def test_a_station_file_with_contradictory_interlock_limits_is_refused(limits, w
     with pytest.raises(DocumentFaults) as caught:
         check_document((STATION % limits).encode(), "station.yaml", Station)
     assert any(wrong in str(fault) for fault in caught.value.faults)
+
+
+def test_a_station_has_the_interlocks_that_it_names(tmp_path):
+    text = "{door: {path: /x}, device_lost: {retry_s: 7}, disk_space: {min_free_gb: 1, release_gb: 2, max_hold_s: 90}}"
+    configured = check_document((STATION % text).encode(), "station.yaml", Station).value.interlocks
+    sensors = SimpleNamespace(camera_c=None, last_mev_s=None, dark_mev_s=None, reopen=None)
+    door, space, lost = interlocks_of(configured, tmp_path, sensors)
+    assert [i.name for i in (door, space, lost)] == ["door", "disk_space", "device_lost"]
+    assert (door.poll_s, lost.poll_s, space.max_hold_s) == (0.1, 7, 90)
+    assert interlocks_of(InterlocksConfig(), tmp_path, sensors) == []

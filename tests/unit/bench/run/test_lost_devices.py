@@ -1,5 +1,7 @@
 """Devices of a run: their cables are asked before it, a lost one is waited for, and how each is left is journaled."""
 
+from types import SimpleNamespace
+
 import pytest
 from rehearsed import TWO, Scene
 
@@ -9,10 +11,28 @@ from bench.record.events import Event
 from bench.record.history import replay
 from bench.record.journal import Journal, read_journal
 from bench.run.run_devices import NOT_REOPENED
+from bench.run.states import NOT_STATED, connections
 from bench.run.status import read_status, status_text
+from drivers.camera import CameraIdentity
 from drivers.errors import CameraLost, LightFault, PortLost, PortNotFound, ReplyTimeout, WrongDevice
 
 # ---------------------------------------------------------------- before a run
+
+EVK4 = CameraIdentity("Prophesee", "EVK4", "IMX636", "00051234", "3.9.0", 1280, 720)
+
+
+@pytest.mark.parametrize(
+    ("link_mbit_s", "link_text"),
+    [
+        (None, NOT_STATED),
+        (480, "480 Mbit/s (USB 2)"),
+        (5000, "5000 Mbit/s (USB 3)"),
+        (10000, "10000 Mbit/s (USB 3)"),
+    ],
+)
+def test_the_speed_of_the_connection_is_told(link_mbit_s, link_text):
+    camera = CameraIdentity(**{**vars(EVK4), "link_mbit_s": link_mbit_s})
+    assert connections(camera, {"trigger_in": True}, SimpleNamespace())["camera_link"] == link_text
 
 
 def test_a_bench_that_is_not_ready_and_whose_stage_falls_silent_is_not_said_to_have_stood_still(
@@ -160,6 +180,13 @@ def test_a_camera_unplugged_after_the_last_recording_is_stated_and_the_run_finis
     ]
     shown = status_text(read_status(scene.folder))
     assert "camera: not confirmed: the camera does not answer: gone." in shown
+
+
+def test_a_run_that_needs_no_further_step_states_it_at_its_end_only(tmp_path):
+    scene = Scene(tmp_path, poses=TWO)
+    assert scene.run().how == "finished"
+    assert not scene.data_of(Event.DEVICES_LEFT)
+    assert [end["state"] for end in scene.data_of(Event.RUN_ENDED)[0]["devices"]] == ["confirmed safe"] * 3
 
 
 @pytest.mark.parametrize("ended", [True, False])

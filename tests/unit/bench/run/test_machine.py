@@ -2,11 +2,12 @@
 
 from itertools import product
 from types import SimpleNamespace
+from typing import get_args
 
 import pytest
 from transitions import MachineError
 
-from bench.run.machine import EDGES, END_STATES, STATES, RunMachine
+from bench.run.machine import EDGES, END_STATES, STATES, RunMachine, Trigger
 
 TRIGGERS = sorted({trigger for trigger, _, _ in EDGES})
 TARGETS = {(source, trigger): target for trigger, sources, target in EDGES for source in sources}
@@ -62,6 +63,11 @@ def test_every_state_but_the_end_states_can_be_aborted():
             assert "abort" in leaves
 
 
+def test_no_state_can_be_jumped_to():
+    machine = machine_in("idle")
+    assert not hasattr(machine, "to_recording")
+
+
 def test_intent_is_reported_before_the_work_and_the_outcome_after_it_even_if_it_fails():
     events = []
 
@@ -103,3 +109,7 @@ def test_an_outcome_that_cannot_be_journaled_is_an_error():
     with pytest.raises(OSError, match="disk full"):
         machine.fire("preflight")
     assert machine.state == "preflight"
+
+
+def test_the_edges_have_the_triggers_and_no_other():
+    assert {trigger for trigger, _, _ in EDGES} == {*get_args(Trigger)}

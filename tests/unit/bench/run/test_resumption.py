@@ -10,6 +10,7 @@ from bench.record.history import History, replay
 from bench.record.journal import Journal
 from bench.run.steps_to_do import (
     intentions,
+    poses_crashed_too_often,
     remaining_steps,
     steps_of_pose,
     steps_to_repeat,
@@ -99,6 +100,12 @@ def test_crashes_count_against_the_pose_at_work_and_kills_do_not(tmp_path, lines
     assert lived(tmp_path, *lines).crashes == crashes
 
 
+def test_one_crash_at_a_pose_is_allowed_and_two_are_not(tmp_path):
+    assert poses_crashed_too_often(History(crashes={2: 1})) == {}
+    assert "crashed 2 times" in poses_crashed_too_often(History(crashes={2: 2}))[2]
+    assert poses_crashed_too_often(History(crashes={2: 2}, skipped={2: "so"})) == {}
+
+
 # ---------------------------------------------------------------- what resuming says first
 
 
@@ -111,3 +118,15 @@ def test_resuming_states_what_is_kept_recorded_and_skipped(job):
     assert "Record pose" not in text
     assert text.endswith("Then: solve, report, seal.")
     assert history.crashes == {2: 1}
+
+
+def test_resuming_names_each_pose_to_record_and_the_repeated_move(job):
+    sentences = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
+    assert "killed, power lost or disk full" in sentences[0]
+    assert "Record pose 2 (right)." in sentences
+    assert "Record pose 3 (below)." in sentences
+    assert "Move to pose right again." in sentences
+
+
+def test_a_finished_run_is_only_sealed(job):
+    assert "Only its seal is missing".lower() in intentions(job, History(ended="finished"), None)[0].lower()

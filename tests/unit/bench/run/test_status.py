@@ -6,8 +6,10 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from locking_process import locking, suspend
 from rehearsed import Scene, with_runner
 
+from bench.base.errors import RunFolderError
 from bench.base.progress import Reply
 from bench.commands.status import follow
 from bench.measure.measure import Measurement, StoredImage
@@ -15,9 +17,11 @@ from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Commanded, Event
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
+from bench.run.control import Command, inbox_of, send
 from bench.run.heartbeat import CONTROL
-from bench.run.last_view import leave_view, read_last_view
+from bench.run.last_view import LAST_VIEW, leave_view, read_last_view
 from bench.run.status import read_status, status_text
+from calib.model.cause import Cause
 from calib.target import StarTarget
 from calib.view import View
 
@@ -136,6 +140,12 @@ def test_a_run_that_has_ended_says_how_each_device_was_left_and_how_late_the_com
     assert "Computer busy" not in text
 
 
+def test_a_run_that_never_began_claims_nothing_of_the_devices(run):
+    run.die()
+    assert [device["state"] for device in run.status().devices] == ["never opened"] * 3
+    assert "CHECK" not in status_text(run.status())
+
+
 def test_the_last_lines_are_shown_as_text(run):
     run.tell(Event.ENTERING, state="checking", pose=1)
     run.tell(Event.LEFT_OFF, state="checking")
@@ -177,6 +187,17 @@ def test_following_shows_each_change_and_ends_with_the_run(run):
     assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
 
 
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    with pytest.raises(RunFolderError, match="not a run folder"):
+        read_status(tmp_path)
+
+
+def test_a_plan_of_another_program_is_refused(run):
+    (run.path / "plan.json").write_text("[]")
+    with pytest.raises(RunFolderError, match=r"plan\.json cannot be read"):
+        run.status()
+
+
 # ---------------------------------------------------------------- the picture of the last recording
 
 
@@ -201,6 +222,39 @@ def test_a_picture_is_left_and_read_again(tmp_path):
     leave_view(tmp_path, 2, 2, _measurement("no stars"), StarTarget())
     left = read_last_view(tmp_path)
     assert (left.attempt, left.nodes, left.fault) == (2, [], "no stars")
+
+
+def test_it_is_no_command_and_stays_in_the_inbox(tmp_path):
+    (tmp_path / CONTROL).mkdir()
+    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
+    inbox_of(tmp_path).drain(lambda *_: pytest.fail("the picture was taken for a command"))
+    assert (tmp_path / CONTROL / LAST_VIEW).exists()
+
+
+def test_without_an_inbox_or_an_image_nothing_is_left(tmp_path):
+    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
+    (tmp_path / CONTROL).mkdir()
+    leave_view(tmp_path, 1, 1, Measurement(None, None), StarTarget())
+    assert read_last_view(tmp_path) is None
+    assert not list((tmp_path / CONTROL).iterdir())
+
+
+def test_a_full_disk_does_not_disturb_the_run(tmp_path, monkeypatch):
+    (tmp_path / CONTROL).mkdir()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
+    assert read_last_view(tmp_path) is None
+
+
+@pytest.mark.parametrize("text", [b"", b"{}\n", b"[1]\n", b'{"pose": 1', b"\xff\xfe\n"])
+def test_a_damaged_file_is_no_picture(tmp_path, text):
+    (tmp_path / CONTROL).mkdir()
+    (tmp_path / CONTROL / LAST_VIEW).write_bytes(text)
+    assert read_last_view(tmp_path) is None
 
 
 # ---------------------------------------------------------------- an accepted command is done
@@ -241,3 +295,33 @@ def test_a_pose_skipped_during_its_last_attempt_is_skipped_and_does_not_end_the_
     played.hook = hook
     assert played.run().how == "finished"
     assert [d["pose"] for d in played.data_of(Event.POSE_SKIPPED)] == [1]
+
+
+def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):
+    cause = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
+    numbers = {"values": {"fx": 3300.0, "fy": 3300.0}, "sigma": {"fx": 1.0, "fy": 1.0}}
+    run.tell(Event.SOLVED, model="m", converged=True, rms_px=0.1, **numbers, causes=[cause])
+    verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
+    run.tell(Event.WRITTEN, head="", files={}, wire={}, verdict=verdict)
+    run.tell(Event.RUN_ENDED, how="finished", why="")
+    lines = status_text(run.status()).splitlines()
+    at = lines.index("Calibrated, with reservations.")
+    assert lines[at + 1].startswith("This computer stood still for 60 s")
+    assert lines[at + 2].startswith("Result: fx 3300")
+    run.die()
+
+
+def test_a_run_whose_process_is_suspended_is_told_as_such_and_how_it_continues(run):
+    run.tell(Event.ENTERING, state="recording", pose=2)
+    run.die()
+    inbox_of(run.path).folder.mkdir()
+    with locking(run.path) as process:
+        assert run.status().advice.endswith("abort")
+        assert run.status().left_s is not None
+        suspend(process)
+        status = run.status()
+        assert status.left_s is None
+        with pytest.raises(RunFolderError, match=f"kill -CONT {process.pid}"):
+            send(run.path, Command(word="abort", by="somebody"), patience_s=0.01)
+    assert f"HELD by the suspended process {process.pid}" in status_text(status)
+    assert f"kill -CONT {process.pid}" in status.advice

@@ -78,6 +78,14 @@ def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path, c
     assert capsys.readouterr().out.splitlines()[0] == missed
 
 
+def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
+    scene = until_scene(tmp_path, f"{{expanded_fx_px: 500, worst_corner_px: 500, start: {THREE}}}")
+    assert scene.run().how == "finished"
+    (decision,) = decisions(scene)
+    assert decision["ended"] == "met"
+    assert "chosen" not in decision
+
+
 def cut_and_go_on(folder, whole, cut):
     """The run of a copy whose journal ends after so many lines."""
     scene = until_scene(folder / f"cut-{cut}", NEVER)
@@ -142,6 +150,56 @@ def test_the_minutes_end_it_and_only_worked_time_counts(tmp_path):
     assert sum(history.worked_s.values()) > last["worked_s"]
 
 
+def test_time_between_two_processes_does_not_count(tmp_path):
+    scene = until_scene(tmp_path, NEVER)
+    scene.hook = lambda name: (
+        exec("raise KeyboardInterrupt") if scene.calls.count("camera.record") == 4 else None
+    )
+    with pytest.raises(KeyboardInterrupt):
+        scene.run()
+    scene.hook = lambda _name: None
+    scene.clock.sleep(3600)
+    assert scene.run().how == "finished"
+    assert scene.data_of(Event.UNTIL_DECIDED)[-1]["worked_s"] < 60
+
+
+def test_beside_a_coarse_certificate_poses_are_recorded_as_long_as_they_help(tmp_path):
+    place = "station.collimator.certificate"
+    certificate = {f"{place}.r_mm": "255", f"{place}.uncertainty_mm": "1", f"{place}.number": "C-7"}
+    until = NEVER.replace("0.001", "1").replace("at_most: 5", "at_most: 9")
+    scene = until_scene(tmp_path, until, "joint", settings=certificate)
+    assert scene.run().how == "finished"
+    *before, last = decisions(scene)
+    assert last["ended"] == "unreachable"
+    assert last["poses"] < 9
+    assert last["at_end"]["expanded_fx_px"] > 0.95 * last["now"]["expanded_fx_px"]
+    assert all(
+        decision["at_end"]["expanded_fx_px"] < 0.95 * decision["now"]["expanded_fx_px"] for decision in before
+    )
+    assert last["why"].startswith("U(fx) is ")
+    assert "the goal is 1 px. With all 9 poses, U(fx) would still be about " in last["why"]
+    assert last["why"].count("the goal") == 1
+    assert "The largest part of U(fx) comes from: passport of the collimator, " in last["why"]
+
+
+def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_path, monkeypatch):
+    scene = with_runner(until_scene(tmp_path, NEVER), monkeypatch)
+    refused = []
+
+    def skip_fourth(name):
+        if name == "stage.move_to" and scene.calls.count(name) == 4:
+            inbox = scene.runner.inbox
+            inbox.decide(Command(word="skip", by="ada", pose=9), "one")
+            inbox.decide(Command(word="skip", by="ada", pose=4), "two")
+            refused.extend(scene.data_of(Event.COMMANDED))
+
+    scene.hook = skip_fourth
+    assert scene.run().how == "finished"
+    assert [answer["taken"] for answer in refused] == [False, True]
+    assert sorted(angles(scene)) == [1, 2, 3, 5, 6]
+    assert decisions(scene)[-1]["ended"] == "at_most"
+
+
 def test_a_hold_between_choice_and_move_goes_on_at_the_chosen_pose(tmp_path, monkeypatch):
     scene = with_runner(until_scene(tmp_path, NEVER), monkeypatch)
     held = []
@@ -172,6 +230,19 @@ def test_without_a_start_it_begins_with_what_the_station_expects(tmp_path):
     assert decided[0]["now"] == decided[1]["now"] == {}
     assert decided[-1]["now"]["expanded_fx_px"] > 0
     assert len(angles(scene)) == 4
+
+
+def test_poses_recorded_before_it_count_in_the_calibration_but_not_in_its_bound(tmp_path):
+    text = write_until(tmp_path / "s.yaml", "{expanded_fx_px: 0.001, at_most: 2}").read_text()
+    before = f"  - repeat: {{poses: {THREE}, steps: [move, settle, record]}}\n  - until:"
+    (tmp_path / "s.yaml").write_text(text.replace("  - until:", before))
+    scene = Scene(tmp_path, sequence=tmp_path / "s.yaml")
+    assert scene.run().how == "finished"
+    assert [(decision["poses"], decision["recorded"]) for decision in decisions(scene)] == [
+        (3, 0),
+        (4, 1),
+        (5, 2),
+    ]
 
 
 def test_a_stop_while_it_chooses_ends_the_run_safely_and_it_goes_on(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ from board_photographs import photograph
 from calling import call
 
 from bench.commands.calibrate import run_text
+from bench.measure.moving_recording import MovingRecording
 from bench.solve import loose_recordings
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
@@ -89,6 +90,17 @@ def test_files_of_others_in_a_folder_are_named_and_change_nothing(folder, tmp_pa
     assert answer["camera"] == alone["camera"]
     left_out = " ".join(answer["skipped"])
     assert all(name in left_out for name in strangers)
+
+
+def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
+    (tmp_path / "README.txt").write_text("Pictures of the board.\n")
+    captured = call(capsys, "calibrate", tmp_path, "--board", "checkerboard:7x5:20mm", status=1)
+    assert "There is no usable view." in captured.err
+    assert "README.txt" in captured.err
+    captured = call(
+        capsys, "calibrate", tmp_path / "README.txt", "--board", "checkerboard:7x5:20mm", status=1
+    )
+    assert "README.txt:1" in captured.err
 
 
 @pytest.mark.parametrize(
@@ -195,6 +207,14 @@ def test_pictures_of_a_moving_camera_become_views(moving_folder, capsys, monkeyp
     assert abs(answer["camera"]["fx"] - FOCAL_PX) < 2.0 * answer["sigma"]["fx"] + 3.0
 
 
+def test_pictures_do_not_depend_on_the_order_in_which_they_are_asked_for(moving_folder):
+    moving = MovingRecording(moving_folder / "moving.raw", 10.0)
+    later, earlier = moving.picture(1), moving.picture(0)
+    np.testing.assert_array_equal(moving.picture(1).image, later.image)
+    assert earlier.at_us < later.at_us
+    assert len(moving.at_s) == 4
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -207,7 +227,36 @@ def test_what_does_not_fit_is_refused(moving_folder, capsys, words, message):
     assert message in call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=2).err
 
 
+def test_the_events_of_another_program_are_converted_first(moving_folder, capsys):
+    events = moving_folder / "events.npz"
+    refusal = call(capsys, "calibrate", events, "--board", PATTERN, "--reconstruct", status=2)
+    assert f"starbench convert {events} " in refusal.err
+
+
 def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_do(moving_folder, capsys):
     words = ("--board", "checkerboard:9x6:10mm", "--reconstruct")
     captured = call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=1)
     assert "Move the camera obliquely" in captured.err
+
+
+@pytest.mark.slow
+def test_a_simulated_moving_board_is_reconstructed_where_it_stands_at_the_time_of_the_picture():
+    from virtual_camera import VirtualCamera
+
+    from calib.boards.board import Board
+    from calib.boards.detect import detect_board
+    from tests.benchmarks.compared.columns import Column, Screen
+    from tests.benchmarks.compared.scenes import record_moving
+
+    column = Column(name="a", method="reconstruction", images=2, board=Screen(focus="sharp"))
+    screen = {"columns": 11, "rows": 7, "pitch_mm": 12.0, "position_mm": [0.0, 0.0, 900.0]}
+    optics = {"mounting_deg": [0.0, 0.0, 0.0]}
+    section = {"noise": "typical", "screen": {**screen, "turn_deg": [20, -15, 12]}, "optics": optics}
+    picture = record_moving(column, section, 3345.0, 3, 1)[True]
+    view = detect_board(picture, Board("checkerboard", 11, 7, 12.0))
+    true = VirtualCamera(section, 3).board_corners_px()[view.ids]
+    if np.linalg.norm(view.points_px[0] - true[0]) > 50:
+        true = true[::-1]
+    apart = view.points_px - true
+    assert np.linalg.norm(apart.mean(axis=0)) < 0.3  # the latency of the pixels moves all points alike
+    assert np.sqrt(np.mean((apart - apart.mean(axis=0)) ** 2)) < 0.05

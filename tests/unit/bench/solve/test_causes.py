@@ -98,6 +98,11 @@ def earlier(**changed: Any) -> dict[str, Any]:
     }
 
 
+def test_a_run_as_the_last_one_has_no_cause():
+    slightly = {"stars": 585, "rms_px": 0.043, "lit": 680_000, "off": 1.9, "delay_us": 10.0, "duty": 0.503}
+    assert causes(**slightly, longest_s=0.8, focal_px=3200.0) == []
+
+
 @pytest.mark.parametrize(
     ("case", "kind", "words"),
     [
@@ -145,6 +150,37 @@ def test_each_is_told_with_both_numbers(case, kind, words):
     (cause,) = causes(**case)
     assert cause.kind == kind
     assert words in sentence_of(cause)
+
+
+def test_a_sine_has_no_delay_and_later_events_of_another_waveform_are_not_compared():
+    sine = {**LIGHT, "waveform": "sine"}
+    assert causes(light=sine, last=earlier(light=sine), delay_us=14.0) == []
+    assert causes(light=sine, delay_us=14.0) == []
+
+
+def test_earlier_events_are_no_sign_of_a_weak_image():
+    assert causes(delay_us=5.0) == []
+
+
+def test_the_most_probable_cause_is_first():
+    found_causes = causes(focal_px=10300.0, light={**LIGHT, "high_v": 2.0})
+    assert [cause.kind for cause in found_causes] == [kinds.LENS, kinds.LIGHT]
+
+
+def test_another_lens_explains_another_number_of_stars_and_another_light():
+    (cause,) = causes(focal_px=5100.0, stars=300, lit=300_000)
+    assert cause.kind == kinds.LENS
+
+
+def test_another_level_of_the_light_explains_a_weak_image():
+    (cause,) = causes(light={**LIGHT, "high_v": 0.5}, stars=300, lit=300_000)
+    assert cause.kind == kinds.LIGHT
+
+
+def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
+    assert causes(focal_px=None) == []
+    (cause,) = causes(focal_px=None, last=earlier(fx=5000.0, stars=300))
+    assert "is 3345 px, and was 5000 px in run run-7: another lens" in sentence_of(cause)
 
 
 @pytest.mark.parametrize(

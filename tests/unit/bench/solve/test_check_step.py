@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from solved_run import write_solved_run
 
+from bench.base.errors import ScriptError
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.run_folder import CHECKED_COPY
@@ -102,3 +103,10 @@ def test_a_calibration_that_cannot_be_checked_is_a_fault_before_anything_moves(t
     assert any(fault_text in fault and f"sequence.yaml:{4 + len(steps)}:" in fault for fault in faults), (
         faults
     )
+
+
+def test_a_check_needs_a_calibration_and_results_without_one_have_no_row(tmp_path, solved):
+    with pytest.raises(ScriptError, match="calibration: this key is required"):
+        planned(tmp_path, "check: {model: spherical}")
+    assert "check" not in results_of(solved[0])
+    assert check_rows(None) == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from expected_stars import expected_views
 
-from bench.solve.checks import gimbal_check
+from bench.solve.checks import gimbal_check, split_half_check
 from bench.solve.results_content import projection_facts
 from calib.engine import CalibrationOptions, calibrate
 from calib.model.camera import CameraModel
@@ -17,6 +17,15 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
 @pytest.fixture(scope="module")
 def views():
     return expected_views([(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES], sigma_px=0.02, seed=3)
+
+
+@pytest.mark.slow
+def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
+    """By less, where what is not known is the same in both: the glass, here of two views each."""
+    check = split_half_check(views, CalibrationOptions())
+    assert 0.0 < check["ratio"] < 2.5
+    assert check["worst_px"] >= check["rms_px"] > 0
+    assert split_half_check(views[:3], CalibrationOptions()) is None
 
 
 def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
@@ -76,3 +85,11 @@ def test_the_worst_corner_has_px_and_microradians_with_the_factor():
     supported = facts["supported"]
     assert 0.4 < supported["share"] < 0.75
     assert supported["expanded_px"] < worst["expanded_px"]
+
+
+def test_stars_at_one_place_support_little_and_no_stars_nothing():
+    facts = projection_facts(CAMERA, COVARIANCE, 2.0, [np.array([[640.0, 360.0]])])
+    assert facts["supported"]["share"] == pytest.approx(
+        np.pi * facts["supported"]["reach_px"] ** 2 / (1280 * 720), rel=0.01
+    )
+    assert projection_facts(CAMERA, COVARIANCE, 2.0, [])["supported"] is None

@@ -146,6 +146,21 @@ def test_opencv_extrinsics_take_target_points_into_the_camera_frame():
         )
 
 
+def test_small_numbers_stay_numbers_in_yaml():
+    # YAML 1.1 takes 1e-05 for a word: a dot must stand in it
+    files = exports(calibration("k1k2p1p2"), camera_name="c")
+    assert yaml.safe_load(files["ros_camera_info.yaml"])["distortion_coefficients"]["data"][2] == 1e-5
+    assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["distortion_coeffs"][2] == 1e-5
+
+
+def test_kalibr_gets_floats_and_whole_sizes():
+    camera = yaml.safe_load(exports(calibration("k1k2p1p2"), camera_name="c")["kalibr_camchain.yaml"])["cam0"]
+    assert all(isinstance(v, float) for v in camera["intrinsics"] + camera["distortion_coeffs"])
+    assert camera["resolution"] == [1280, 720]
+    assert all(isinstance(v, int) for v in camera["resolution"])
+    assert isinstance(camera["rostopic"], str)
+
+
 @pytest.mark.parametrize("lens", ["k1k2k3p1p2", "rational"])
 def test_kalibr_gets_four_coefficients_that_project_as_the_lens_does(lens):
     wanted = calibration(lens).camera
@@ -180,6 +195,46 @@ def test_metavision_s_json_describes_the_target_that_was_seen():
         pattern = json.loads(written["metavision.json"])["pattern"]
         assert (pattern["n_rows"], pattern["n_cols"]) == expected[:2]
         assert pattern["square_width"] == pattern["square_height"] == pytest.approx(expected[2])
+
+
+def test_metavision_s_json_is_not_written_for_views_of_several_targets():
+    files = exports(calibration("k1k2"), camera_name="c", target=None)
+    assert "metavision.json" not in files
+    assert b"the views show several" in files["not-written.txt"]
+
+
+def test_metavision_s_json_holds_the_places_of_the_target_in_metres():
+    wanted = calibration("k1k2")
+    intrinsics = json.loads(exports(wanted, camera_name="c")["metavision.json"])
+    assert (intrinsics["n_kept_views"], intrinsics["image_size"], intrinsics["selected_views"]) == (
+        2,
+        [1280, 720],
+        [1, 1],
+    )
+    translation = intrinsics["tvecs"][0]["data"]
+    np.testing.assert_allclose(
+        np.multiply(translation, 1000), -wanted.rotations[0] @ wanted.centres[0], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("name", ["evk4_a\\b", "evk4_1\n2", "evk4_a b:c", "evk4_\u00fc-1"])
+def test_a_serial_number_of_any_letters_leaves_every_file_readable(name):
+    files = exports(calibration("k1k2"), camera_name=name)
+    storage = file_storage(files["opencv.yaml"], ".yml")
+    camera_name = storage.getNode("camera_name").string()
+    assert camera_name.isascii()
+    assert camera_name.replace("_", "a").isalnum()
+    assert yaml.safe_load(files["ros_camera_info.yaml"])["camera_name"] == camera_name
+    assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["rostopic"] == f"/{camera_name}/events"
+    assert json.loads(files["metavision.json"])["camera_name"] == camera_name
+    assert len(files["colmap_cameras.txt"].decode().splitlines()) == 3
+    for format_name, read in READERS.items():
+        assert read(files[format_name])[1] == 3345.06
+
+
+def test_the_same_calibration_gives_the_same_bytes():
+    first, second = (exports(calibration("rational"), camera_name="c") for _ in range(2))
+    assert first == second
 
 
 def test_the_boresight_is_a_transform_as_ros_publishes_it():

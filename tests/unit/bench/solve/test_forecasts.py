@@ -2,16 +2,19 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import pytest
 from calling import out_of
 
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
-from bench.solve import next_pose
+from bench.solve import forecasts, next_pose
 from bench.solve.expectations import expected_uncertainty
 from bench.solve.forecasts import forecast_bench, suggest_poses
+from bench.stations.station import ExpectedConfig
 from calib.model.camera import distortion_names
 from calib.studies.pose_gains import distance_deg
+from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
 
 NINE = (SHIPPED_SEQUENCES / "nine_pose.yaml").read_text()
 
@@ -35,6 +38,14 @@ def solved(tmp_path):
 def coarse(monkeypatch):
     monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
     monkeypatch.setattr(next_pose, "REFINEMENTS", ())
+
+
+def test_what_a_station_does_not_state_is_typical():
+    planned = plan("nine_pose")
+    station = planned.station.value
+    expected = ExpectedConfig(focal_px=3300, r_mm=255, half_angle_deg=12)
+    typical = expected.errors(station.collimator.model_copy(update={"defocus": None}))
+    assert (typical.rms_px, typical.defocus) == (TYPICAL_RMS_PX, TYPICAL_DEFOCUS)
 
 
 def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
@@ -61,6 +72,12 @@ def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
     )
     assert k2.startswith("sigma_k2 of at most 1e-09 will not be met")
     assert "Nothing but the stars" in alone
+
+
+def test_a_limit_that_more_poses_can_meet_says_so(solved):
+    (fx, *_) = expected_uncertainty(solved("{limits: {expanded_fx_px: 1.5}}")).remarks
+    assert fx.startswith("U(fx) of at most 1.5 px will not be met: 1.9 expected")
+    assert re.search(r"twice as many poses would leave 1\.[4-7] px\.$", fx)
 
 
 @pytest.mark.usefixtures("coarse")
@@ -113,6 +130,54 @@ def expected(sequence="until_good", station="simulated", **settings):
     return expected_uncertainty(make_plan(*load_documents(sequence, station, paths)))
 
 
+def test_on_an_ideal_bench_the_first_poses_suffice():
+    forecast = expected(station="simulated_ideal")
+    (course,) = forecast.courses
+    assert course.poses == forecast.poses == 3
+    assert course.reached["expanded_fx_px"] < 2.5
+    assert course.text == (
+        "Expected: about 3 poses until U(fx) is at most 2.5 px and U at the corners at most 1.5 px."
+    )
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
+    forecast = expected(expanded_fx_px=1.8)
+    (course,) = forecast.courses
+    assert 4 <= course.poses <= 15
+    assert course.to_dict()["poses"] == course.poses
+    (below,) = expected(expanded_fx_px=0.5).courses
+    assert (
+        "U(fx) cannot reach the goal of 0.5 px. With all 25 poses, U(fx) would still be about 1" in below.text
+    )
+    assert re.search("Its largest part is: (parallax|scale and eccentricity|readings)", below.text)
+    (beyond,) = expected(station="simulated_ideal", expanded_fx_px=0.001, at_most=5).courses
+    assert (below.poses, beyond.poses) == (None, None)
+    assert beyond.text.startswith("Expected: 5 poses do not suffice until U(fx) is at most 0.001 px")
+    assert "The step ends after about 5 poses; U(fx) is then about " in beyond.text
+    assert expected("three_pose").courses == ()
+
+
+@pytest.mark.usefixtures("coarse")
+def test_one_forecast_is_behind_all_that_a_plan_says_of_an_until():
+    for goal in (1.8, 0.5):
+        forecast = expected(expanded_fx_px=goal)
+        (course,) = forecast.courses
+        assert course.reached["expanded_fx_px"] == forecast.forecast.limited["expanded_fx"]
+        assert forecast.chosen == forecast.poses - 3 > 0
+        assert f"about {forecast.poses} poses" in course.text
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_second_until_goes_on_from_the_poses_of_the_first(tmp_path):
+    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()
+    second = "  - until: {expanded_fx_px: 1.8, at_most: 10}\n  - light: off\n"
+    (tmp_path / "two.yaml").write_text(text.replace("2.5", "1.9").replace("  - light: off\n", second))
+    first, then = expected_uncertainty(plan(str(tmp_path / "two.yaml"))).courses
+    (alone,) = expected(expanded_fx_px=1.8).courses
+    assert first.poses + then.poses == alone.poses
+
+
 @pytest.mark.usefixtures("coarse")
 def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_most(tmp_path, capsys):
     (tmp_path / "until.yaml").write_text(
@@ -131,3 +196,14 @@ def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_mo
     assert "at most" not in nine
     assert "at the latest, at most about" in lines[-1]
     assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in lines)
+
+
+def test_the_first_suggestion_is_told_before_the_next_is_weighed(monkeypatch):
+    weighed = []
+    monkeypatch.setattr(forecasts, "forecast_if_enough", lambda _, poses: weighed.append(len(poses)))
+    further = [SimpleNamespace(angles_deg={"pan_deg": angle, "tilt_deg": 0.0}) for angle in (1.0, 2.0)]
+    suggestions = forecasts.forecasts_with(plan("three_pose"), further)
+    next(suggestions)
+    assert weighed == [4]
+    next(suggestions)
+    assert weighed == [4, 5]

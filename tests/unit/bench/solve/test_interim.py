@@ -9,14 +9,17 @@ import pytest
 from bench.plan.job import Job
 from bench.record.history import History
 from bench.solve import interim, next_pose
+from bench.solve.forecasts import expected_bench
 from bench.solve.interim import Interim, decide
 from bench.solve.next_pose import Choice, Wish, choose_pose
 from bench.solve.solve_options import gimbal_readings
 from bench.stations.station import load_station
+from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import angles_of
+from calib.model.passport import Passport
 from calib.model.result_parts import BudgetRow
 from calib.model.rotation import euler_zxy
-from calib.studies.planning import fit_gimbal
+from calib.studies.planning import PoseWeigher, fit_gimbal
 from sequences.script import ChooseStep
 
 TAKEN = [
@@ -138,6 +141,23 @@ def test_a_goal_out_of_reach_ends_it_when_poses_hardly_help_and_the_largest_part
     )
 
 
+@pytest.mark.usefixtures("coarse")
+def test_more_poses_allowed_leave_less_and_stop_at_what_a_certificate_leaves():
+    coarse = Passport.of_radius(255.0, 1.0)
+    left = [
+        choose_pose(
+            load_station("simulated"),
+            None,
+            coarse,
+            taken_deg=TAKEN,
+            refused_deg=[],
+            wish=wish(more=more),
+        ).at_end["expanded_fx_px"]
+        for more in (1, 4, 20)
+    ]
+    assert left[0] > left[1] > left[2] > 2.0
+
+
 @pytest.mark.usefixtures("numbers")
 def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
     calibrated = calibration(4.5, 0.2, stars=1.0, disagreement_of_the_views=2.0)
@@ -167,6 +187,15 @@ def test_without_a_calibration_it_goes_on_and_names_its_goals_and_why_at_the_end
     assert decision["problem"] == "Too few stars."
 
 
+def test_the_choice_is_the_same_each_time_and_within_the_limits():
+    first, second = choose(), choose()
+    assert first == second
+    for axis, config in load_station("simulated").value.axes.items():
+        assert config.limits_deg[0] <= first.angles_deg[f"{axis}_deg"] <= config.limits_deg[1]
+    assert set(first.expected) == set(WANTED)
+    assert first.why == "it lowers U(fx) most"
+
+
 @pytest.mark.usefixtures("coarse")
 def test_no_pose_is_repeated_and_no_failed_pose_chosen_again():
     taken, refused = list(TAKEN), []
@@ -188,6 +217,21 @@ def test_readings_that_enter_count_in_the_choice_of_the_next_pose():
         for entering in (None, readings)
     }
     assert after_px[readings] < 0.97 * after_px[None]
+
+
+@pytest.mark.usefixtures("numbers")
+def test_readings_are_given_to_the_choice_as_the_calibrations_use_them(job, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        interim, "choose_pose", lambda *_, readings, **__: asked.append(readings) or "No pose is left."
+    )
+    decided(job, HistoryOf([1, 2, 3]), calibration(3.0, 0.5))
+    assert asked
+    assert all(readings is not None for readings in asked)
+
+
+def test_no_pose_left_is_said():
+    assert "No pose within the limits" in choose(min_stars=100_000)
 
 
 def test_without_calibration_and_expectations_nothing_can_be_predicted(tmp_path):
@@ -212,3 +256,25 @@ def test_a_mounting_turned_by_a_quarter_is_found_from_the_views():
     straight = fit_gimbal(rotations[:1], readings[:1])
     assert straight.rotations(angles_of(readings[:1]))[0] == pytest.approx(rotations[0], abs=1e-9)
     assert fit_gimbal(np.zeros((0, 3, 3)), []).rotations(angles_of([{}]))[0] == pytest.approx(np.eye(3))
+
+
+def test_more_poses_leave_less_and_a_neighbour_brings_less_than_a_far_pose():
+    bench = expected_bench(load_station("simulated"))
+    weigher = PoseWeigher(bench, Gimbal(), TAKEN)
+    near, far, repeat = {"pan_deg": 6.3, "tilt_deg": 2.0}, {"pan_deg": 4.0, "tilt_deg": -3.0}, TAKEN[0]
+    by_near, by_far = weigher.weigh([near, far, repeat])
+    assert by_far.after.worst_px < by_near.after.worst_px < weigher.before.worst_px
+    assert weigher.visible([near, repeat]) == [near, repeat]
+    few = PoseWeigher(bench, Gimbal(), TAKEN[:1])
+    assert few.weigh([far])[0].after.fx_px < few.before.fx_px
+
+
+def test_poses_that_turn_an_axis_by_little_are_weighed_with_the_readings_of_the_recorded_ones():
+    station = load_station("simulated")
+    bench = replace(expected_bench(station), readings=gimbal_readings(station.value, []))
+    weigher = PoseWeigher(bench, Gimbal(), TAKEN)
+    wide = [{"pan_deg": pan, "tilt_deg": 3.0} for pan in (-4.0, 1.0, 4.0)]
+    close = [{"pan_deg": 1.0 + off, "tilt_deg": 3.0} for off in (0.0, 0.1)]
+    alone, with_readings = weigher.weigh(close)[0], weigher.weigh(wide)[1]
+    assert alone.after.fx_px == pytest.approx(with_readings.after.fx_px, rel=1e-3)
+    assert alone.after.fx_px < weigher.before.fx_px

@@ -5,29 +5,31 @@ import json
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from station_texts import IDEAL, PLAIN, without
 
 from bench.again.recalculated import check_recalculated
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, StorageError, UsageError
 from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
 from bench.evidence.keys import create_key
+from bench.evidence.verify import verify_folder
 from bench.solve import loose_recordings
 from bench.solve.loose_recordings import used_part, used_recordings
-from bench.solve.offline import calibrate_paths, odd_sizes, views_of_one_size
+from bench.solve.offline import calibrate_paths, odd_sizes, require_one_camera, views_of_one_size
 from bench.solve.offline_folder import write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import sealed_bytes
 from bench.solve.point_files import read_point_file
-from bench.solve.view_sources import ViewSource
-from bench.stations.station import load_station
+from bench.solve.solve_options import ONE_VIEW
+from bench.solve.view_sources import ViewSource, picture_of, refuse_truncated_jpeg, view_sources
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
-from sequences.errors import DocumentFaults
+from drivers.errors import RecordingCorrupt
 from tests.support.printed_text import printed_text
 
 
@@ -44,6 +46,15 @@ def test_views_of_different_image_sizes_are_refused_with_their_names(names, pict
     with pytest.raises(BenchError, match="different image sizes") as refused:
         views_of_one_size(views, pictures)
     assert f"720 x 1280 px ({names[1]}), 1280 x 720 px (lying)" in str(refused.value) or not all(pictures)
+
+
+def test_every_picture_that_is_turned_is_named_before_the_others():
+    views = [view(f"lying {n}", (1280, 720)) for n in range(8)]
+    views += [view("first on end", (720, 1280)), view("last on end", (720, 1280))]
+    with pytest.raises(BenchError) as refused:
+        views_of_one_size(views, [True] * 10)
+    shown = "720 x 1280 px (first on end, last on end), 1280 x 720 px (lying 0, lying 1, lying 2, lying 3, lying 4 and 3 more)"
+    assert shown in str(refused.value)
 
 
 def sized(name, *, is_sized=True):
@@ -66,11 +77,38 @@ def test_a_few_images_of_another_size_are_left_out_with_a_word(large, left_out):
         )
 
 
+def test_point_files_whose_size_nobody_stated_are_never_odd():
+    views = [view("a", (1280, 720)), view("b", (900, 600))]
+    assert odd_sizes(views, [sized("a"), sized("b", is_sized=False)]) == []
+    assert odd_sizes(views, [sized("a", is_sized=False), sized("b", is_sized=False)]) == []
+
+
 def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_largest():
     views = [view("picture", (1280, 720)), view("points", (900, 600))]
     assert [view.image_size for view in views_of_one_size(views, [True, False])] == [(1280, 720)] * 2
     views = [view("a", (1200, 600)), view("b", (900, 700))]
     assert [view.image_size for view in views_of_one_size(views, [False, False])] == [(1200, 700)] * 2
+
+
+@pytest.mark.parametrize("word", ["0x0", "0x720", "1280x0", "1280", "-1280x720"])
+def test_an_image_without_pixels_is_no_size(word):
+    with pytest.raises(UsageError, match="not an image size"):
+        OfflineOptions.from_command_line(image_size=word)
+    assert OfflineOptions.from_command_line(image_size="1280x720").image_size == (1280, 720)
+    assert OfflineOptions().image_size is None
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.999])
+def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path, share):
+    noise = np.random.default_rng(1).integers(0, 256, (120, 160), np.uint8)
+    whole = cv2.imencode(".jpg", noise)[1].tobytes()
+    (tmp_path / "a.jpg").write_bytes(whole)
+    refuse_truncated_jpeg(tmp_path / "a.jpg")
+    (tmp_path / "a.jpg").write_bytes(whole + b"what cameras put behind it")
+    refuse_truncated_jpeg(tmp_path / "a.jpg")
+    (tmp_path / "a.jpg").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(RecordingCorrupt, match="incomplete"):
+        refuse_truncated_jpeg(tmp_path / "a.jpg")
 
 
 @pytest.mark.parametrize("encoding", ["EVT2", "EVT21", "EVT3"])
@@ -111,6 +149,17 @@ def test_what_only_has_the_name_of_a_point_file_is_left_out_of_its_folder(tmp_pa
         calibrate_paths([tmp_path], OfflineOptions(image_size=(64, 48)))
 
 
+def test_recordings_of_different_cameras_are_refused_by_their_serial_numbers(tmp_path):
+    serials = {"a": "00051", "b": "51", "c": "", "d": "00052"}
+    for name, serial in serials.items():
+        line = f"% serial_number {serial}\n" if serial else ""
+        (tmp_path / f"{name}.raw").write_bytes(f"% format EVT3;height=720;width=1280\n{line}% end\n".encode())
+    sources = [ViewSource(tmp_path / f"{name}.raw", lambda: None) for name in serials]
+    require_one_camera(sources[:3])
+    with pytest.raises(BenchError, match=r"are of 2 cameras, .*: 51 \(a, b\), 52 \(d\)\. Calibrate each"):
+        require_one_camera(sources)
+
+
 def test_too_few_views_are_told_with_the_files_that_were_left_out_by_their_own_names(tmp_path):
     words = np.full(2000, 0x80000000, "<u4")  # EVT2: the time alone, so no event shows a target
     (tmp_path / "dark.raw").write_bytes(b"% format EVT2;height=720;width=1280\n% end\n" + words.tobytes())
@@ -119,6 +168,17 @@ def test_too_few_views_are_told_with_the_files_that_were_left_out_by_their_own_n
         calibrate_paths([tmp_path], OfflineOptions(image_size=(64, 48)))
     assert f"left out: {tmp_path / 'dark.raw'}: " in str(refused.value)
     assert str(refused.value).count("dark.raw") == 1
+
+
+def test_text_with_a_line_for_each_event_is_a_recording_and_is_found_again_with_another_size(tmp_path):
+    path, points = tmp_path / "a.csv", tmp_path / "b.csv"
+    path.write_text("757,201,0,1\n566,568,1,7\n")
+    points.write_text("757,201,4,8,1\n")
+    (at_first,) = view_sources(path, OfflineOptions(image_size=(1280, 720)))
+    (then,) = view_sources(path, OfflineOptions(image_size=(1300, 800)))
+    assert at_first.decided_by["kind"] == "other .csv"
+    assert at_first.decided_by != then.decided_by
+    assert next(view_sources(points, OfflineOptions())).decided_by is None
 
 
 GRID = [(x, y) for x in range(5, 60, 10) for y in range(5, 45, 10)]
@@ -166,6 +226,21 @@ def test_bad_lines_are_refused_with_their_place(tmp_path, text, words):
         read_point_file(write(tmp_path, text), image_size=None)
 
 
+def test_points_beside_the_image_are_refused_as_of_sides_told_in_the_other_order(tmp_path):
+    path = write(tmp_path, GOOD)
+    with pytest.raises(BenchError, match=r"1 of 2 points are outside an image of 48 x 32 px; .*30\.5, 40\.5"):
+        read_point_file(path, image_size=(48, 32))
+    assert len(read_point_file(path, image_size=(30, 40))) == 2
+
+
+def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path):
+    (tmp_path / "b.txt").write_bytes(b"\xff\x00\x00\x01")
+    with pytest.raises(BenchError, match="not UTF-8 text"):
+        read_point_file(tmp_path / "b.txt", image_size=None)
+    with pytest.raises(StorageError, match="cannot be read"):
+        read_point_file(tmp_path / "none.txt", image_size=None)
+
+
 # ---------------------------------------------------------------- the folder
 
 
@@ -185,6 +260,12 @@ def options(**given):
 def certified(points, passport):
     """The calibration of the points with the passport."""
     return calibrate_paths([points], options(passport=passport))
+
+
+@pytest.fixture(scope="module")
+def uncertified(points):
+    """The calibration of the points alone."""
+    return calibrate_paths([points], options())
 
 
 def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
@@ -215,6 +296,22 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
     assert not (out / "SHA256SUMS").exists()
 
 
+def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(uncertified, tmp_path, key, signers):
+    out = tmp_path / "out"
+    write_offline_results(uncertified, "out", out, key)
+    run = json.loads((out / "results.json").read_text())["run"]
+    assert run["sealed_by"] == {"principal": key.principal, "fingerprint": key.fingerprint}
+    assert "a recalculation" in run["statement"]
+    assert run["of_runs"] == []
+    text = " ".join(printed_text((out / "report.html").read_text()))
+    assert "This is a recalculation, not the record of a run." in text
+    assert f"{key.principal} sealed it" in text
+    assert "DRAFT" not in text
+    assert "a recalculation" in (out / "VERIFY.txt").read_text()
+    assert verify_folder(out, signers).state == "SEALED"
+    assert all(path.is_dir() or not path.stat().st_mode & 0o222 for path in out.rglob("*"))
+
+
 @pytest.mark.parametrize("trouble", [None, "no key", "readable"])
 def test_without_a_usable_key_the_folder_stays_a_draft(tmp_path, monkeypatch, capsys, trouble):
     home = tmp_path / "home"
@@ -230,6 +327,15 @@ def test_without_a_usable_key_the_folder_stays_a_draft(tmp_path, monkeypatch, ca
 
 
 OWN_TARGET = PLAIN + "target: {squares: [60, 80], pitch_mm: 4.0, tag_square: [20, 30]}\n"
+
+
+def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path):
+    station = tmp_path / "station.yaml"
+    station.write_text(OWN_TARGET)
+    result = calibrate_paths([points], options(station=str(station), model="planar"))
+    write_offline_results(result, "out", tmp_path / "out")
+    pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
+    assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
 
 
 def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path, key):
@@ -290,13 +396,11 @@ def test_loose_files_take_what_the_station_states_and_say_that_the_stage_s_readi
     assert check_recalculated(tmp_path / "out").faults == []
 
 
-def test_a_station_without_devices_serves_existing_data_and_no_run(tmp_path):
+@pytest.mark.parametrize("other", [{"passport": "none"}, {"model": "planar"}])
+def test_a_station_s_certificate_is_not_used_where_no_passport_is(other, tmp_path):
     station = tmp_path / "station.yaml"
-    station.write_text(without(STATED, "stage", "light", "camera"))
-    assert options(station=str(station)).passport.passport.values_by_name["r"] == 255.0
-    with pytest.raises(DocumentFaults) as refused:
-        load_station(str(station))
-    assert {fault.path for fault in refused.value.faults} == {"stage", "light", "camera"}
+    station.write_text(STATED)
+    assert options(station=str(station), **other).passport is None
 
 
 def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(points, tmp_path):
@@ -316,6 +420,18 @@ def test_a_passport_is_used_and_none_switches_it_off(points, passport, certified
             calibrate_paths([points], options(passport=passport, model=model))
 
 
+def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(
+    points, passport, uncertified, tmp_path
+):
+    for given in (None, passport):
+        with pytest.raises(DegenerateViews) as caught:
+            calibrate_paths([points / "left.csv"], options(passport=given))
+        assert ONE_VIEW in str(caught.value)
+    (tmp_path / "whole.json").write_bytes(sealed_bytes(uncertified.calibration.passport()))
+    single = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
+    assert single.calibration.sigma["fx"] < 0.02 * single.calibration.camera.fx
+
+
 def test_a_board_gives_tangential_terms_unless_other_coefficients_are_asked_for():
     board = "checkerboard:11x7:20mm"
     estimated = [
@@ -323,3 +439,16 @@ def test_a_board_gives_tangential_terms_unless_other_coefficients_are_asked_for(
         for word in (None, "k1k2")
     ]
     assert estimated == [("k1", "k2", "p1", "p2"), ("k1", "k2")]
+
+
+def test_the_preview_of_a_long_recording_uses_its_first_events_too(tmp_path, monkeypatch):
+    path, read = tmp_path / "a.raw", []
+    path.write_bytes(
+        b"% format EVT3;height=720;width=1280\n% end\n" + np.full(200_000, 0x2000, "<u2").tobytes()
+    )
+    monkeypatch.setattr(loose_recordings, "MOST_EVENTS", 100_000)
+    monkeypatch.setattr(
+        "bench.measure.measure.recorded_image", lambda begin: read.append(begin.stat().st_size)
+    )
+    picture_of(path)
+    assert read[0] < path.stat().st_size

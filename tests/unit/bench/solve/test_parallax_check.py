@@ -10,13 +10,15 @@ import yaml
 import bench.solve.checks as checked
 from bench.plan.plan import load_documents, make_plan
 from bench.report.run_tables import parallax_rows
-from bench.solve.checks import mount_faces, parallax_check
+from bench.solve.checks import PARALLAX_TEST, mount_faces, parallax_check
 from bench.stations.station import GimbalConfig
+from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
 from calib.model.result_parts import Boresight
 from calib.studies.parallax import PupilWalk
 
 COLLIMATOR = Collimator(97.0, 140.0, 255.0)
+REFUSED = DegenerateViews("1 of 9 views show the rim.", where="parallax test", remedy="Turn farther.")
 
 
 def station(off="{value: 2, sigma: 0.5}", defocus="{value: 0.066, sigma: 0.01}"):
@@ -49,6 +51,10 @@ def find_pupil(monkeypatch):
     return find
 
 
+def test_the_shipped_sequence_has_the_name_that_must_have_a_result():
+    assert make_plan(*load_documents("parallax_test", "simulated")).sequence.value.name == PARALLAX_TEST
+
+
 def test_a_pupil_that_the_station_does_not_state_is_to_be_written_into_it(find_pupil):
     find_pupil(44.0, 2.0)
     check = parallax_check(calibration(), [], station(off=""), "Nine poses")
@@ -75,6 +81,30 @@ def test_the_pupil_is_compared_with_the_station(find_pupil, off, sigma, word, ad
     assert f"This {word} the station file, which states 2 mm" in says
     assert (check["station_entry"] in says) == advised
     assert ("keep it" in says) != advised
+
+
+def test_a_pupil_that_contradicts_along_one_axis_only_is_noticed(monkeypatch):
+    walk = PupilWalk(np.array([-39.2, -2.0]), np.diag([32.0, 76.0]), 20.6, 19.0, 15, ())
+    monkeypatch.setattr(checked, "pupil_walk", lambda *_arguments: walk)
+    check = parallax_check(calibration(), [], station(), "Parallax test")
+    assert "contradicts the station file" in " ".join(check["says"])
+
+
+def test_without_a_stated_defocus_there_is_no_parallax(find_pupil):
+    find_pupil(2.0, 1.0)
+    bare = parallax_check(calibration(), [], station(defocus=""), "Parallax test")
+    assert (bare["defocus"], bare["parallax"], bare["fx_px"]) == (None, None, None)
+    assert "which the station file does not state" in bare["says"][-1]
+
+
+def test_only_the_parallax_test_says_why_there_is_no_result(find_pupil):
+    find_pupil(0.0, 1.0, REFUSED)
+    assert parallax_check(calibration(), [], station(), "Nine poses") is None
+    check = parallax_check(calibration(), [], station(), "Parallax test")
+    assert check == {"why_not": "parallax test: 1 of 9 views show the rim. Turn farther."}
+    assert parallax_rows(check) == [("Parallax test: no result", check["why_not"])]
+    planar = parallax_check(calibration(collimator=None), [], station(), "Parallax test")
+    assert planar["why_not"].startswith("The planar model has no collimator")
 
 
 def test_the_report_states_the_place_of_the_pupil_and_the_poses_without_rim(find_pupil):

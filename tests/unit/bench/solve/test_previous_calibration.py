@@ -73,6 +73,19 @@ def test_the_last_one_is_copied_with_its_hashes_and_compared(bench):
     assert json.loads(json.dumps(previous, allow_nan=False)) == previous
 
 
+def test_a_camera_that_is_only_turned_has_not_changed(bench):
+    bench.run("same")
+    change = bench.of("now")["change"]
+    assert change["largest_px"] < 1e-6
+    assert change["largest_ratio"] < 1e-6
+
+
+def test_runs_after_this_one_are_not_before_it(bench):
+    place = bench.ledger.begin(run_id="slow", folder=bench.path / "slow", camera="00050423", simulated=True)
+    bench.run("later")
+    assert previous_calibration(bench.ledger, place, bench.results) == {"run": None, "why_not": FIRST}
+
+
 def in_calibration(**facts):
     return {"change": lambda results: results["calibration"].update(facts)}
 

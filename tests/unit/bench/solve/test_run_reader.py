@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from rehearsed import Scene
 from solved_run import image_of, write_solved_run
 
 from bench.base.errors import RunFolderError
@@ -85,11 +86,25 @@ def test_nothing_is_written_and_a_run_is_shown_without_its_arrays(folder):
     assert "array" not in repr(run) + repr(run.poses[0])
 
 
+def test_a_collimator_keeps_its_aberrations(copied):
+    edit(copied, lambda results: results["calibration"]["collimator"].update(defocus=0.01))
+    run = load(copied)
+    assert run.collimator.aberrations == {"defocus": 0.01}
+    assert run.collimator.to_dict() == run.results["calibration"]["collimator"]
+
+
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
     with pytest.raises(RunFolderError, match="has no journal"):
         load(tmp_path)
     with pytest.raises(RunFolderError, match="has no journal"):
         load(tmp_path / "none")
+
+
+def test_a_rehearsed_run_is_refused(tmp_path):
+    scene = Scene(tmp_path, end="  - solve: {model: spherical, distortion: [k1]}\n  - report\n")
+    assert scene.run().how == "finished"
+    with pytest.raises(RunFolderError, match="was rehearsed"):
+        load(scene.folder)
 
 
 @pytest.mark.parametrize(
@@ -119,3 +134,10 @@ def test_incomplete_results_are_refused(copied, change, says):
     with pytest.raises(RunFolderError, match=says) as refused:
         load(copied)
     assert str(copied / "results.json") in str(refused.value)
+
+
+def test_views_of_another_run_are_refused(copied, tmp_path):
+    other = write_solved_run(tmp_path, poses="[{name: a, pan_deg: -5}, {name: b, pan_deg: 5}]")
+    shutil.copy(other / "views.h5", copied / "views.h5")
+    with pytest.raises(RunFolderError, match="different poses"):
+        load(copied)

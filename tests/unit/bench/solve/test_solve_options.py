@@ -74,6 +74,17 @@ def test_readings_that_do_not_enter_say_why_not(task, settings, why):
     assert why in first[1]
 
 
+def test_readings_with_a_bound_enter_and_the_report_says_how_they_agree():
+    calibration, options, readings = solved(job(GIMBAL % OFF_PIVOT))
+    assert readings["entered"] is True
+    assert readings["statement"]["source"] == "G-3"
+    assert readings["bound"]["parallax"] == pytest.approx(-0.06 * 2 / calibration.collimator.r)
+    rows = dict(readings_rows(readings, calibration.to_dict()["gimbal"]))
+    assert "chi-square" in rows["Gimbal readings"]
+    assert "\N{MINUS SIGN}0.047 % of the focal length" in rows["Uncertainty of the readings"]
+    assert options.gimbal is not None
+
+
 def test_readings_with_a_wrong_scale_are_named():
     scaled = [{"pan": 1.05 * pan, "tilt": float(tilt)} for pan, tilt in POSES]
     _, _, readings = solved(job(GIMBAL % OFF_PIVOT), scaled)

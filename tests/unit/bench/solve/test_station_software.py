@@ -1,10 +1,13 @@
 """Packages of plug-ins and optional libraries in the software that a run states."""
 
+from importlib.metadata import version
+
 import pytest
 
+from bench.report.run_tables import software as report_rows
 from bench.solve import software as software_module
 from bench.solve.results_content import software
-from bench.solve.software import plugins_missing, plugins_of_run, plugins_stated, run_software
+from bench.solve.software import files_software, plugins_missing, plugins_of_run, plugins_stated, run_software
 from bench.stations.plugins import Plugin
 from bench.stations.station import load_station
 
@@ -47,6 +50,16 @@ def test_a_package_never_replaces_an_entry_of_starbench(brought, station, monkey
     assert run_software(station)["program"] == software()["program"]
 
 
+def test_libraries_of_drivers_and_of_files_of_others_are_stated_where_they_are_used(station, monkeypatch):
+    assert files_software([".raw", ".png"]) == software()
+    installed, real = {"neuromorphic-drivers": "0.18.1", "aedat": "2.3", "rosbags": "0.11"}, version
+    monkeypatch.setattr("importlib.metadata.version", lambda name: installed.get(name) or real(name))
+    evk4 = station.model_copy(update={"camera": type("Camera", (), {"driver": "neuromorphic_evk4"})()})
+    assert run_software(evk4)["neuromorphic-drivers"] == "0.18.1"
+    assert files_software([".AEDAT4", ".raw"]) == software() | {"aedat": "2.3"}
+    assert files_software([".mcap", ".bag"]) == software() | {"rosbags": "0.11"}
+
+
 def test_a_plugin_that_is_missing_here_or_has_another_version_is_named(brought):
     assert plugins_stated(STARTED) == {"starbench-turntable 1.0": "stage turntable"}
     assert plugins_missing(STARTED) == ["starbench-turntable 1.0"]
@@ -54,3 +67,11 @@ def test_a_plugin_that_is_missing_here_or_has_another_version_is_named(brought):
     assert plugins_missing(here) == []
     here["software"]["starbench-turn"] = "1.3"
     assert plugins_missing(here) == ["starbench-turn 1.3"]
+
+
+def test_the_report_says_which_driver_a_package_brought():
+    run = {"software": {"numpy": "2.0", "starbench-turntable": "1.0"}, "plugins": STARTED["plugins"]}
+    assert report_rows({"run": run}) == [
+        ("numpy", "2.0"),
+        ("starbench-turntable", "1.0 (plug-in: stage turntable)"),
+    ]

@@ -11,6 +11,7 @@ from bench.stations.station import load_station
 from bench.stations.station_text import (
     SHIPPED_DESCRIPTIONS,
     description_documents,
+    find_description,
     read_light_protocol,
     read_stage_protocol,
 )
@@ -95,6 +96,11 @@ def test_a_lights_faults_are_named_too(tmp_path, old, new, fault) -> None:
     assert fault in faults_of(path, read_light_protocol)
 
 
+def test_a_missing_shipped_description_is_named() -> None:
+    with pytest.raises(DocumentFaults, match="flir_ptu"):
+        find_description("flir_pt", None)
+
+
 def test_a_station_uses_descriptions_beside_it_and_its_devices_are_locked_by_their_numbers(tmp_path) -> None:
     (tmp_path / "mine.yaml").write_text(PTU.replace("maker: FLIR", "maker: Mine"))
     path = tmp_path / "bench.yaml"
@@ -107,6 +113,12 @@ def test_a_station_uses_descriptions_beside_it_and_its_devices_are_locked_by_the
         "protocol-stage.yaml": (tmp_path / "mine.yaml").read_bytes(),
         "protocol-light.yaml": LIGHT.encode(),
     }
+
+
+def test_a_run_folder_uses_its_own_copies(tmp_path) -> None:
+    (tmp_path / "station.yaml").write_text(STATION.replace("protocol: flir_ptu", "protocol: gone.yaml"))
+    (tmp_path / "protocol-stage.yaml").write_text(PTU.replace("maker: FLIR", "maker: Copied"))
+    assert load_station(str(tmp_path / "station.yaml")).value.stage.described.maker == "Copied"
 
 
 @pytest.mark.parametrize(
@@ -125,3 +137,25 @@ def test_a_section_that_does_not_fit_its_description_is_refused(tmp_path, old, n
     with pytest.raises(DocumentFaults) as caught:
         load_station(str(path))
     assert fault in str(caught.value)
+
+
+def test_an_axis_of_which_a_reply_tells_nothing_is_named(tmp_path) -> None:
+    (tmp_path / "mine.yaml").write_text(
+        PTU.replace('{counts:integer}"}', '{counts_p:integer} {counts_x:integer}"}', 1)
+    )
+    path = tmp_path / "bench.yaml"
+    path.write_text(STATION.replace("protocol: flir_ptu", "protocol: mine.yaml"))
+    with pytest.raises(DocumentFaults, match="the reply of position has no value of the axis 'T'"):
+        load_station(str(path))
+
+
+def test_a_light_without_sync_output_and_a_device_without_serial_number_are_told(tmp_path) -> None:
+    text = LIGHT[: LIGHT.index("  - quantity: sync")]
+    text = "\n".join(line for line in text.splitlines() if not line.startswith("serial:"))
+    (tmp_path / "mine.yaml").write_text(text + "\n")
+    path = tmp_path / "bench.yaml"
+    path.write_text(STATION.replace("protocol: microcontroller_light", "protocol: mine.yaml"))
+    with pytest.raises(DocumentFaults) as caught:
+        load_station(str(path))
+    assert "no sync output; write sync_output: false" in str(caught.value)
+    assert "no query for a serial number" in str(caught.value)

@@ -22,6 +22,7 @@ from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from sequences.reader import check_document
+from sequences.script import Flicker
 
 EXAMPLE = filled_example("example_evk4")
 MOTION = "limits_deg: [-9, 8], speed_deg_s: 5, acceleration_deg_s2: 20, tolerance_deg: 0.01"
@@ -123,6 +124,11 @@ def test_each_driver_gets_what_the_file_says(section, driver, given, options, op
     elif driver is NeuromorphicEvk4:
         options = {**options, "utc_now": clock.utc_now}
     called[driver].assert_called_once_with(*given, **options, clock=clock)
+
+
+def test_the_level_of_a_strobe_controller_is_a_share_of_its_full_percent():
+    light = station_with("light: {driver: gardasoft, port: /dev/f, model: RT420F-20, full_percent: 50}").light
+    assert light.settings(Flicker("square", 60.0, 50.0, 40.0)).high_v == 2.0
 
 
 @pytest.mark.parametrize("where", ["stage", "camera", "neither"])

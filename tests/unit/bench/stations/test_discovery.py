@@ -2,21 +2,26 @@
 
 import contextlib
 import re
+import sys
+import types
+from typing import get_args
 
 import pytest
-from calling import call
-from filled_stations import filled
+from calling import call, out_of
+from filled_stations import filled, filled_example
 
 from bench.base.clock import BenchClock
-from bench.commands.station import station_new
+from bench.commands.station import show_devices, station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.simulated import SimulatedBench
-from bench.stations.asked_devices import ask_light, ask_stage, dialect_of
-from bench.stations.discovery import Discovery, FoundPort
+from bench.stations import discovery
+from bench.stations.asked_devices import AskedAxis, ask_light, ask_stage, dialect_of
+from bench.stations.discovery import Discovery, FoundPort, discover
 from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL
 from bench.stations.practice import draft_stand_ins
-from bench.stations.station import SHIPPED_STATIONS, Station, load_station
-from bench.stations.station_draft import draft_station, ports_to_ask
+from bench.stations.stages_and_lights import LightConfig
+from bench.stations.station import SHIPPED_STATIONS, CameraConfig, Station, load_station
+from bench.stations.station_draft import CAMERAS, draft_station, ports_to_ask
 from drivers.camera import FoundCamera
 from drivers.errors import ReplyTimeout
 
@@ -28,6 +33,21 @@ PORTS = (
     FoundPort("/dev/ttyS0", "/dev/ttyS0", "", "", ""),
     FoundPort("/dev/ttyACM1", "/dev/ttyACM1", "", "", ""),
 )
+
+
+def test_a_port_is_called_by_its_id_where_it_has_one(tmp_path, monkeypatch):
+    device = tmp_path / "ttyUSB0"
+    device.touch()
+    by_id = tmp_path / "by-id"
+    by_id.mkdir()
+    (by_id / "usb-Zaber-if00").symlink_to(device)
+    infos = [types.SimpleNamespace(device=str(device), description="X-USBDC", serial_number="A1")]
+    monkeypatch.setattr(discovery.list_ports, "comports", lambda: infos)
+    monkeypatch.setattr(discovery, "find_cameras", lambda: ([FoundCamera("metavision", "00051", "EVK4")], []))
+    connected = discover(by_id)
+    assert [(port.name, port.note) for port in connected.ports] == [(str(by_id / "usb-Zaber-if00"), "")]
+    assert connected.cameras[0].serial == "00051"
+    assert connected.missing == ()
 
 
 @pytest.mark.parametrize("stage", CHOICES["stage"])
@@ -71,6 +91,14 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
         assert camera.source == (WEBCAM.source if cameras else "/dev/v4l/by-id/CHOOSE-A-CAMERA")
 
 
+def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
+    show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)))
+    output = capsys.readouterr().out
+    assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in output
+    assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in output
+    assert "missing      Something." in output
+
+
 @pytest.mark.parametrize("stage", CHOICES["stage"])
 @pytest.mark.parametrize("light", CHOICES["light"])
 def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage, light):
@@ -109,6 +137,18 @@ def test_sections_that_a_draft_and_each_example_offer_as_comments_are_accepted(t
         load_station(str(tmp_path / "all.yaml"))
 
 
+@pytest.mark.parametrize(
+    ("name", "config", "simulated"),
+    [("camera", CameraConfig, {"simulated_evk4"}), ("light", LightConfig, set())],
+)
+def test_every_family_of_devices_can_be_drafted(name, config, simulated):
+    families = {
+        model.model_fields["driver"].annotation.__args__[0] for model in get_args(get_args(config)[0])
+    }
+    assert set(CHOICES[name]) == families - simulated
+    assert set(CAMERAS) == set(CHOICES["camera"])
+
+
 # ---------------------------------------------------------------- what the devices answer
 
 
@@ -132,6 +172,23 @@ def test_every_stage_and_every_light_has_a_stand_in_that_can_be_planned(tmp_path
     assert make_plan(*load_documents("three_pose", str(path))).faults == ()
 
 
+def test_a_stand_in_states_what_it_answers(tmp_path):
+    path = tmp_path / "practice.yaml"
+    path.write_text(draft_stand_ins("rigol"))
+    station = load_station(str(path)).value
+    assert (station.light.dialect, station.light.serial) == ("numbered", "SG0042")
+    assert {name: (axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()} == {
+        "pan": ("100101", (-12.0, 12.0)),
+        "tilt": ("100102", (-10.0, 10.0)),  # as far as the controller allows
+    }
+
+
+def test_a_draft_states_which_length_the_certificate_of_the_collimator_is(tmp_path):
+    path = tmp_path / "bench.yaml"
+    path.write_text(filled(draft_station(Discovery((), (), ()), stage="zaber_ascii", certified="seen")))
+    assert load_station(str(path)).value.collimator.certificate.length == "seen"
+
+
 def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
     clock = BenchClock()
     with SimulatedBench({}, 1) as bench:
@@ -146,6 +203,26 @@ def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
     assert "tilt: the controller allows -64000 to 64000 microsteps" in text
     assert load_station(str(path)).value.light.port == ports[0]
     assert ask_stage("zaber_ascii", [str(tmp_path / "nothing")], clock) is None
+
+
+def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controller_its_model(tmp_path):
+    clock = BenchClock()
+    axes = {"pan": {"serial": "1", "limit_deg": 9.5}, "tilt": {"serial": "2", "limit_deg": 40}}
+    with SimulatedBench({"stage": {"kind": "esp301", **axes}, "light": {"kind": "gardasoft"}}, 1) as bench:
+        ports = [bench.endpoints["light"], bench.endpoints["gimbal"]]
+        stage, light = ask_stage("esp30x", ports, clock), ask_light("gardasoft", ports, clock)
+    assert (stage.port, light.port) == (ports[1], ports[0])
+    path = tmp_path / "bench.yaml"
+    discovery = Discovery((), (), ())
+    path.write_text(draft_station(discovery, stage="esp30x", light="gardasoft", asked=(stage, light)))
+    station = load_station(str(path)).value
+    assert {
+        name: (axis.number, axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()
+    } == {
+        "pan": (1, "SN1", (-9.5, 9.5)),
+        "tilt": (2, "SN2", (-12.0, 12.0)),
+    }
+    assert light.what == f"Gardasoft {station.light.model}"
 
 
 @pytest.mark.parametrize(
@@ -180,10 +257,6 @@ def test_a_board_is_asked_for_scales_and_travel(others):
     assert "tilt: {letter: Y, steps_per_deg: 640, zero_deg: 15, limits_deg: [-6, 12]," in text
 
 
-def refused_link(*_, **__):
-    raise ReplyTimeout("no complete reply", where="/dev/board")
-
-
 @pytest.mark.parametrize("agrees", [True, False])
 def test_a_board_is_asked_only_if_the_operator_agrees(capsys, tmp_path, monkeypatch, agrees):
     """Otherwise no port is opened, not even to look for the light."""
@@ -195,6 +268,17 @@ def test_a_board_is_asked_only_if_the_operator_agrees(capsys, tmp_path, monkeypa
     monkeypatch.setattr("bench.stations.asked_devices.closed_on_error", lambda _: contextlib.nullcontext())
     call(capsys, "station", "new", tmp_path / "a.yaml", "--stage", "grbl", "--port", "/dev/board")
     assert opened == (["/dev/board", "/dev/board"] if agrees else [])
+
+
+def refused_link(*_, **__):
+    raise ReplyTimeout("no complete reply", where="/dev/board")
+
+
+def test_where_nobody_can_agree_a_board_is_not_asked(capsys, tmp_path):
+    words = ("--stage", "grbl", "--port", "/dev/none")
+    errors = call(capsys, "station", "new", tmp_path / "a.yaml", *words).err
+    assert "may restart it: it then loses its position" in errors
+    assert "The board was not asked" in errors
 
 
 @pytest.mark.parametrize(("stage", "asked"), [("thorlabs_apt", [1]), ("ximc", []), ("zaber_ascii", [0, 1])])
@@ -219,3 +303,18 @@ def test_controllers_without_text_are_asked_only_at_ports_named_by_their_maker(s
 )
 def test_the_dialect_follows_from_maker_and_model(maker, model, dialect):
     assert dialect_of(maker, model) == dialect
+
+
+def test_a_scale_that_the_controller_states_gives_limits_within_its_travel():
+    axis = AskedAxis("pan", 1, "7", 6400.0, (-32000, 128000))
+    assert axis.limits_deg() == (-5.0, 12.0)
+    assert axis.remark == ""
+
+
+def test_the_plan_tells_a_missing_package(capsys, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "neuromorphic_drivers", None)
+    path = tmp_path / "bench.yaml"
+    path.write_text(filled_example("example_evk4").replace("driver: metavision", "driver: neuromorphic_evk4"))
+    output = out_of(capsys, "plan", "three_pose", "-s", path)
+    assert "Missing for a run on this computer: The package neuromorphic-drivers cannot be imported" in output
+    assert "pip install 'starbench[evk4]'" in output

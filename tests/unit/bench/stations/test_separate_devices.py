@@ -8,7 +8,7 @@ from waiting import wait_until
 
 from bench.base.clock import BenchClock
 from bench.stations import orphans as opening
-from bench.stations.orphans import SeparateDevices
+from bench.stations.orphans import LateDevice, SeparateDevices
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, StillOpening
 
@@ -65,3 +65,20 @@ def test_a_device_that_failed_says_why_from_every_call_and_can_be_tried_again(op
     assert made[-1].calls == ["close"]
     with pytest.raises(Exception, match="closed"):
         devices.stage.position_deg()
+
+
+def test_closing_waits_for_a_device_that_is_being_opened():
+    go, closed = threading.Event(), []
+
+    def opener(stack):
+        assert go.wait(5.0)
+        stack.callback(closed.append, "closed")
+        return FakeLight()
+
+    device = LateDevice("light", opener)
+    device.start()
+    threading.Timer(0.1, go.set).start()
+    device.close()
+    assert closed == ["closed"]
+    device.start()
+    assert device.state == "failed"

@@ -7,9 +7,12 @@ import pytest
 from filled_stations import filled_example
 from station_texts import PLAIN
 
+from bench.stations.stages_and_lights import ScpiLightConfig
 from bench.stations.station import SHIPPED_STATIONS, Station, load_station
+from drivers.light import LightSettings
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
+from sequences.script import Flicker
 
 
 def faults(text: str) -> list[str]:
@@ -152,6 +155,12 @@ def test_a_target_that_cannot_be_is_refused(target, fault):
     assert any(fault in line for line in messages), messages
 
 
+def test_simulated_ports_are_refused_where_nothing_is_simulated():
+    messages = faults(changed("simulation: {}\n", ""))
+    assert [line.split(": ")[1] for line in messages] == ["stage.port", "light.port", "camera.address"]
+    assert all("needs a simulation section (simulation: {} is enough)" in line for line in messages)
+
+
 @pytest.mark.parametrize(
     ("stage", "fault"),
     [
@@ -196,6 +205,38 @@ def test_a_run_with_the_simulated_camera_of_another_process_counts_as_simulated(
     }.items():
         text = text.replace(port, elsewhere)
     assert check_document(text.encode(), "b", Station).value.is_simulated
+
+
+def test_the_simulation_section_has_the_values_json_would_have_but_serial_numbers_stay_text():
+    section = "simulation: {camera_serial: 123, camera: {fx: 3e3, k1: .06}, a: [true, 5, '6'], b: null, c: 007, d: NaN, e: 1e999, f: -2}"
+    station = check_document(changed("simulation: {}", section).encode(), "b", Station).value
+    assert station.simulation == {
+        "camera_serial": "123",
+        "camera": {"fx": 3000.0, "k1": 0.06},
+        "a": [True, 5, 6],
+        "b": None,
+        "c": "007",
+        "d": "NaN",
+        "e": "1e999",
+        "f": -2,
+    }
+
+
+def test_a_level_is_a_share_of_what_the_station_s_light_may_do():
+    light = ScpiLightConfig(driver="scpi", port="x", low_v=1, high_v=3)
+    settings = light.settings(Flicker("sine", 80, 50, level_percent=25))
+    assert settings == LightSettings("sine", 80, 50, low_v=1, high_v=1.5, sync_output=True)
+
+
+def test_the_simulated_bench_is_told_the_station_s_own_target():
+    text = changed(
+        "simulation: {}",
+        "target: {tag_family: tag25h9, polarity: negative}\nsimulation: {reticle: {bow_mm: 1}}",
+    )
+    world = check_document(text.encode(), "b", Station).value.simulated_world
+    assert world["target"]["tag_family"] == "25h9"
+    assert world["target"]["squares"] == [50, 72]
+    assert world["reticle"] == {"polarity": "negative", "bow_mm": 1}
 
 
 @pytest.mark.parametrize("page", ["thorlabs"])

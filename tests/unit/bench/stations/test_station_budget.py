@@ -1,17 +1,20 @@
 """Sections of a station file about budget, collimator and readings."""
 
 from contextlib import nullcontext
+from datetime import date
 
 import numpy as np
 import pytest
 from station_texts import PLAIN
 
 from bench.stations.station import Station
+from bench.stations.station_budget import CertificateConfig
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document
 
 # ---------------------------------------------------------------- budget
 
+WITHOUT_COLLIMATOR = "\n".join(line for line in PLAIN.splitlines() if not line.startswith("collimator:"))
 
 FULL = """
 budget:
@@ -39,6 +42,17 @@ def terms(more: str):
     return {term.kind: term for term in read.budget.terms(read.collimator)}
 
 
+def with_collimator(section: str) -> str:
+    assert "\ncollimator:" not in WITHOUT_COLLIMATOR
+    read = check_document(f"{WITHOUT_COLLIMATOR}\n{FULL}{section}".encode(), "b.yaml", Station).value
+    return {term.kind: term for term in read.budget.terms(read.collimator)}
+
+
+def test_a_station_without_a_budget_states_nothing():
+    assert terms("") == {}
+    assert terms("\nbudget: {}\n") == {}
+
+
 def test_each_part_is_a_term_with_value_distribution_and_source():
     term_of = terms(FULL)
     assert list(term_of) == [
@@ -62,6 +76,19 @@ def test_each_part_is_a_term_with_value_distribution_and_source():
     assert term_of["effective_radius"].degrees_of_freedom == 8
     assert term_of["print_bow"].degrees_of_freedom == float("inf")
     assert term_of["wavefront"].value == 5
+
+
+def test_temperatures_come_from_the_section_then_from_the_collimator():
+    unknown = with_collimator("")
+    assert unknown["thermal"].correction == 0
+    assert unknown["thermal"].standard_uncertainty == pytest.approx((9e-6**2 + 1e-6**2) ** 0.5)
+    certificate = "{r_mm: 255, uncertainty_mm: 0.1, number: T-1, temperature_c: 22}"
+    warm = with_collimator(f"collimator: {{temperature_c: 25, certificate: {certificate}}}\n")
+    assert warm["thermal"].correction == pytest.approx(5 * 9e-6)
+    assert warm["thermal"].standard_uncertainty == pytest.approx((9e-6**2 + 5e-6**2 + 1e-6**2) ** 0.5)
+    assert warm["collimator_thermal"].correction == pytest.approx(3 * 2e-5)
+    own = terms("\nbudget:\n  thermal: {expansion_per_c: 9e-6, temperature_c: 30, sigma_c: 1, source: x}\n")
+    assert own["thermal"].correction == pytest.approx(10 * 9e-6)
 
 
 @pytest.mark.parametrize(
@@ -128,6 +155,26 @@ def test_a_certificate_within_fifteen_percent_of_the_data_sheet_is_of_this_colli
     )
     with pytest.raises(DocumentFaults) if refused else nullcontext():
         assert knowing(section).collimator.certificate.r_mm == r_mm
+
+
+def test_a_certificate_has_values_and_an_older_one_is_a_text():
+    values = knowing(
+        "collimator: {certificate: {r_mm: 255.03, uncertainty_mm: 0.1, number: 7, date: 2026-01-31}}"
+    )
+    certificate = values.collimator.certificate
+    assert isinstance(certificate, CertificateConfig)
+    assert (certificate.sigma_mm, certificate.number, certificate.date) == (0.05, "7", date(2026, 1, 31))
+    assert knowing("collimator: {certificate: T-1}").collimator.certificate == "T-1"
+    assert knowing("collimator: {certificate: }").collimator.certificate is None
+    assert knowing("collimator: {serial: '1'}").gimbal is None
+
+
+def test_the_gimbal_states_what_its_readings_are_worth():
+    gimbal = knowing(
+        "gimbal: {reading_sigma_deg: 0.002, source: G-3, pupil_off_pivot_mm: {value: 2, sigma: 0.5}}"
+    ).gimbal
+    assert (gimbal.scale_sigma, gimbal.eccentricity_deg) == (0.0, 0.0)
+    assert (gimbal.pupil_off_pivot_mm.value, gimbal.pupil_off_pivot_mm.sigma) == (2.0, 0.5)
 
 
 @pytest.mark.parametrize(

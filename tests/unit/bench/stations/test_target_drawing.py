@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from matplotlib.path import Path as Outline
 
 from bench.base.errors import UsageError
+from bench.commands.cli import cli
 from bench.stations.reticle_files import WRITERS, drawing_file
 from bench.stations.station import load_station
 from bench.stations.station_fields import TargetConfig
@@ -46,6 +48,13 @@ def test_what_is_filled_is_what_is_opaque_on_the_print(polarity, family, segment
     assert np.array_equal(count[in_pattern] == 1, opaque[in_pattern])
     marks = (count == 1) != opaque
     assert 0.002 < marks[~in_pattern].mean() < 0.1
+
+
+def test_a_mirrored_drawing_has_left_and_right_changed():
+    plain = draw_target(TargetConfig(**SMALL))
+    mirrored = draw_target(TargetConfig(**SMALL, drawing={"mirrored": True}))
+    places = np.random.default_rng(3).uniform(-20, 20, (500, 2))
+    assert np.array_equal(covered(plain.polygons, places), covered(mirrored.polygons, places * [-1, 1]))
 
 
 def test_scale_bars_are_round_and_as_long_as_they_say():
@@ -96,6 +105,25 @@ def test_what_cannot_be_drawn_is_refused_with_what_to_do(change, name, message):
         drawing_file(TargetConfig(**(SMALL | change)), Path(name))
 
 
+@pytest.mark.parametrize(("ending", "library"), [(".dxf", "ezdxf"), (".gds", "gdstk")])
+def test_a_missing_library_is_named_with_its_remedy(monkeypatch, ending, library):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(UsageError, match=rf"{library} is not installed.*pip install 'starbench\[draw\]'"):
+        drawing_file(TargetConfig(**SMALL), Path(f"x{ending}"))
+
+
+def test_the_command_writes_a_new_file_and_never_over_an_old_one(tmp_path):
+    path = tmp_path / "reticle.svg"
+    done = CliRunner().invoke(cli, ["target", "-s", "simulated", "-o", str(path)], standalone_mode=False)
+    assert done.return_value == 0, done.exception
+    assert "36H11-3 50/72 4.01389 mm; 232.806 x 321.111 mm" in done.output
+    text = path.read_text()
+    assert 'width="232.805556mm" height="321.111111mm"' in text
+    again = CliRunner().invoke(cli, ["target", "-s", "simulated", "-o", str(path)], standalone_mode=False)
+    assert isinstance(again.exception, UsageError)
+    assert path.read_text() == text
+
+
 @pytest.mark.parametrize(
     ("change", "focal_px", "warning_text"),
     [
@@ -117,3 +145,9 @@ def test_what_speaks_against_a_target_is_said(change, focal_px, warning_text):
     optics = optics_of(load_station("simulated").value)
     use = use_of(TargetConfig(**change), replace(optics, focal_px=focal_px))
     assert any(warning_text in warning for warning in use.warnings), use.warnings
+
+
+def test_a_station_must_state_the_lens():
+    station = load_station("simulated").value
+    with pytest.raises(UsageError, match="Add the section `expected`"):
+        optics_of(station.model_copy(update={"expected": None}))

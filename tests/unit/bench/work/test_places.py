@@ -150,6 +150,25 @@ def test_a_url_that_is_not_there_is_told(remote):
         pass
 
 
+def test_a_name_that_leaves_the_run_is_refused(remote):
+    url, _ = remote
+    with pytest.raises(StorageError, match="outside"), Place(f"{url}/run2").folder("../run10/journal.jsonl"):
+        pass
+
+
+def test_an_unknown_kind_of_url_is_told():
+    with pytest.raises(UsageError, match="cannot be read"):
+        find_places(["gopher://lab/runs"])
+
+
+def test_a_file_and_nothing_are_told(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="file, not a folder"):
+        find_places([str(tmp_path / "file")])
+    with pytest.raises(UsageError, match="no such folder"):
+        find_places([str(tmp_path / "none")])
+
+
 def test_without_fsspec_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)
     with pytest.raises(UsageError, match=r"starbench\[cluster\]"):

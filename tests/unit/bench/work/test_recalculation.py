@@ -151,6 +151,37 @@ def test_an_interrupted_recalculation_goes_on_where_it_was(folders, tmp_path):
     assert len(list((tmp_path / "out").iterdir())) == 4
 
 
+def test_a_row_without_its_folder_counts_as_not_done(folders, tmp_path, monkeypatch):
+    """The command dies after the row was written and before the folder got its name."""
+
+    def die(*_):
+        raise KeyboardInterrupt
+
+    with ResultsFolders(tmp_path / "out", None) as output:
+        monkeypatch.setattr("pathlib.Path.rename", die)
+        with pytest.raises(KeyboardInterrupt):
+            recalculate(folders[:1], output)
+        monkeypatch.undo()
+    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith("cam1")]
+    monkeypatch.setattr("bench.solve.result.render_report", lambda _data: "<!DOCTYPE html>")
+    with ResultsFolders(tmp_path / "out", None) as output:
+        (row,) = recalculate(folders[:1], output)
+    assert (tmp_path / "out" / row["results"] / "results.json").is_file()
+
+
+def test_a_run_that_fails_or_vanishes_stops_no_other(folders, tmp_path):
+    for file in folders[0].glob("*.csv"):
+        file.write_text("no points\n")
+    gone = find_places([str(folder) for folder in folders])
+    shutil.rmtree(folders[1])
+    with ResultsFolders(tmp_path / "out", None) as output:
+        rows = Recalculation(gone, task(), Serial(), output).run()
+    assert [row["state"] for row in rows] == ["failed", "failed", "done"]
+    assert str(folders[0]) in rows[0]["failure"]["remedy"]
+    assert "no such file or folder" in rows[1]["failure"]["what"].lower()
+    assert rows == table(tmp_path / "out")
+
+
 def test_lost_workers_end_the_work_and_keep_what_was_done(folders, tmp_path):
     class Dying(Serial):
         def finished(self, timeout_s):
@@ -161,6 +192,13 @@ def test_lost_workers_end_the_work_and_keep_what_was_done(folders, tmp_path):
     with ResultsFolders(tmp_path / "out", None) as output, pytest.raises(WorkersLost):
         recalculate(folders, output, workers=Dying())
     assert [row["state"] for row in table(tmp_path / "out")] == ["done"]
+
+
+def test_workers_with_another_program_refuse(folders):
+    other = Task(CHOICES, "0" * 16, kept="")
+    rows = Recalculation([Place(str(folders[0]))], other, Serial()).run()
+    assert rows[0]["state"] == "failed"
+    assert "another Starbench" in rows[0]["failure"]["what"]
 
 
 def test_the_key_covers_recordings_options_and_program(folders):
@@ -176,6 +214,23 @@ def test_the_key_covers_recordings_options_and_program(folders):
     (folders[0] / "left.csv").write_text("other")
     keys.add(list_recordings(place, task()).key)
     assert len(keys) == 4
+
+
+def test_a_second_command_in_the_same_folder_is_refused(folders, tmp_path):
+    with ResultsFolders(tmp_path / "out", None), pytest.raises(Exception, match="Another process"):
+        ResultsFolders(tmp_path / "out", None)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "photo.png").write_text("")
+    with pytest.raises(Exception, match="not that of a recalculation"):
+        ResultsFolders(tmp_path / "foreign", None)
+
+
+def test_runs_are_found_in_natural_order(folders, tmp_path):
+    root = folders[0].parent
+    for folder in folders:
+        (folder / "journal.jsonl").write_text("")
+    names = [Place(place.name).base_name for place in find_places([str(root), str(folders[0])])]
+    assert names == ["cam1", "cam2", "cam10"]
 
 
 def test_the_command_gives_the_same_to_the_last_digit_by_processes(folders):

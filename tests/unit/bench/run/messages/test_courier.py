@@ -10,7 +10,7 @@ from waiting import wait_until
 
 from bench.base.clock import VirtualClock
 from bench.run.messages.courier import courier_of
-from bench.run.messages.outbox import DeliveryFailed, Outbox
+from bench.run.messages.outbox import DeliveryFailed, Message, Outbox
 from bench.stations.messages_section import AppriseConfig, MessagesConfig
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
@@ -91,3 +91,19 @@ def test_what_fails_is_tried_again_ever_more_seldom_and_a_new_message_at_once(ou
     write(courier, station, "new")
     courier.close(5.0)
     assert [key for key, _ in tries][4] == "new"
+
+
+def test_messages_of_another_station_that_wait_are_delivered_too(outbox, servers):
+    message = Message("before", "end", "s", "t", "r", "/r", BEGIN.isoformat())
+    outbox.put(message, station_with("WORKS").channels)
+    courier_of(station_with("HANGS"), VirtualClock(BEGIN), print).close(5.0)
+    assert servers[0] == {"WORKS": ["before"]}
+
+
+def test_a_station_that_wants_no_message_gets_none(outbox):
+    assert courier_of(MessagesConfig(), VirtualClock(BEGIN), print) is None
+    wants = MessagesConfig(occasions=["failure"], apprise=[AppriseConfig(url_env="WORKS")])
+    courier = courier_of(wants, VirtualClock(BEGIN), print)
+    write(courier, wants, "k")
+    courier.close(5.0)
+    assert outbox.deliveries() == []

@@ -124,6 +124,38 @@ def test_of_two_processes_that_deliver_at_once_one_stands_back(outbox):
     assert not only(outbox)[1].perhaps_twice
 
 
+def test_two_processes_that_saw_the_same_file_do_not_both_send_it(outbox, monkeypatch):
+    """The other one claims it between this one's look and its claim."""
+    outbox.put(message(), [MAIL])
+    seen, other, mine = outbox.due(NOW, by_hand=False), Receiver(), Receiver()
+    deliver(outbox, other)
+    monkeypatch.setattr(outbox, "due", lambda *_, **__: seen)
+    assert deliver(outbox, mine) == 0
+    assert (len(other.taken), mine.taken) == (1, [])
+
+
+def test_a_sender_that_outlived_its_claim_does_not_undo_what_another_one_did(outbox):
+    outbox.put(message(), [MAIL])
+    other = Receiver()
+
+    def slow(*_):
+        deliver(outbox, other, NOW + CLAIM)
+        raise DeliveryFailed("timed out")
+
+    assert deliver(outbox, slow) == 0
+    assert other.taken == [("k1", MAIL)]
+    state, delivery = only(outbox)
+    assert (state, delivery.perhaps_twice) == ("sent", True)
+
+
+def test_an_outbox_that_cannot_be_written_says_so(outbox):
+    outbox.folder.parent.mkdir()
+    outbox.folder.touch()
+    with pytest.raises(StorageError) as refused:
+        outbox.put(message(), [MAIL])
+    assert str(outbox.folder) in str(refused.value)
+
+
 def test_a_damaged_file_is_named_and_holds_up_no_other(outbox):
     outbox.put(message(), [MAIL])
     damaged = outbox.folder / "x.waiting"
