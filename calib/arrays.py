@@ -39,8 +39,6 @@ def rms_length(vectors: Array) -> float:
 def median(values: Array) -> float:
     """Return the median, NaN with a NaN or no number (`numpy.median` warns without one).
 
-    Examples
-    --------
     >>> median(np.array([5.0, 1.0, 2.0])), median(np.array([5.0, 1.0, 2.0, 3.0]))
     (2.0, 2.5)
     """

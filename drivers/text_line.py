@@ -40,34 +40,9 @@ _HARDWARE_MISSING = -241  # SCPI-99: the command needs an option that is not bui
 class TextLine(Link):
     """A line to one device. Opening asks for its identity; it sets nothing.
 
-    Parameters
-    ----------
-    port
-        The open port.
-    identity_query
-        Query whose answer identifies the device and never changes.
-    is_identity
-        Whether an answer to that query has the right form; the query is repeated after another one.
-    identity_form
-        The right form, in words.
-    request_end, reply_end
-        Bytes at the end of each request and of each reply.
-    reply_s
-        Longest wait for a reply, in seconds.
-    unsolicited, clock, wire_log
-        See ``drivers.link.Link``.
-
-    Attributes
-    ----------
-    identity_text
-        The answer to ``identity_query``.
-
-    Raises
-    ------
-    ReplyTimeout, ReplyGarbled
-        The device does not identify itself.
-    PortLost
-        The port is gone.
+    ``identity_query`` has an answer that never changes, ``identity_text``; repeated after one that ``is_identity``
+    refuses. ``identity_form`` says the right form in words. ``reply_s`` is the longest wait for a reply. Raises
+    `ReplyTimeout` or `ReplyGarbled` if the device does not identify itself, `PortLost` if the port is gone.
     """
 
     quiet_s = 0.1
@@ -100,50 +75,16 @@ class TextLine(Link):
         self.identity_text = self._identify()
 
     def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
-        """Send a query and return its answer; repeat the query when no valid reply comes.
+        """Send a query, ``tries`` times in all, until a valid answer comes; return it without the end of a reply.
 
-        Parameters
-        ----------
-        query
-            The query, without the end of a request.
-        deadline_s
-            Longest wait for each reply, in seconds; None for the line's own.
-        tries
-            How often the query is sent in all.
-
-        Returns
-        -------
-        str
-            The answer, without the end of a reply.
-
-        Raises
-        ------
-        ReplyTimeout, ReplyGarbled
-            No valid reply came at the last attempt.
-        PortLost
-            The port is gone.
+        Raises `ReplyTimeout` or `ReplyGarbled` after the last attempt, `PortLost` if the port is gone.
         """
         return repeat(lambda: self._query_once(query, deadline_s), tries=tries)
 
     def query_number(self, query: str, *, with_decimals: bool = False) -> float:
-        """Send a query whose answer is one finite number.
+        """Send a query whose answer is one finite number; ``with_decimals``: with a decimal point, as no count.
 
-        Parameters
-        ----------
-        query
-            The query.
-        with_decimals
-            Whether the answer must have a decimal point, which no switch or count has.
-
-        Returns
-        -------
-        float
-            The number.
-
-        Raises
-        ------
-        ReplyTimeout, ReplyGarbled
-            No valid reply came, or the answer is no number.
+        Raises `ReplyTimeout` or `ReplyGarbled`: no valid reply came, or no number.
         """
         text = self.query(query)
         number = read_quantity(text)
@@ -153,58 +94,18 @@ class TextLine(Link):
         return number.value
 
     def query_switch(self, query: str) -> bool:
-        """Send a query whose answer is on or off.
-
-        Parameters
-        ----------
-        query
-            The query.
-
-        Returns
-        -------
-        bool
-            Whether the answer is ``1`` or ``ON``.
-
-        Raises
-        ------
-        ReplyTimeout, ReplyGarbled
-            No valid reply came, or the answer is neither on nor off.
-        """
+        """Return whether the answer to a query is ``1`` or ``ON``; `ReplyGarbled` if it is neither on nor off."""
         text = self.query(query).upper()
         if text not in {"1", "ON", "0", "OFF"}:
             raise self.garbled_reply(f"{query} answered {text!r}, not on or off.", READABLE_REMEDY)
         return text in {"1", "ON"}
 
     def send(self, command: str) -> None:
-        """Send a command that has no reply.
-
-        Parameters
-        ----------
-        command
-            The command, without the end of a request.
-
-        Raises
-        ------
-        ReplyError
-            The line was out of step and could not be resynchronised.
-        PortLost
-            The port is gone.
-        """
+        """Send a command that has no reply; `ReplyError` if the line could not be resynchronised."""
         self.exchange(self._encode(command), do_nothing, deadline_s=0.0)
 
     def send_urgent(self, command: str) -> None:
-        """Send a command that has no reply at once, without resynchronising: for stopping and switching off.
-
-        Parameters
-        ----------
-        command
-            The command, without the end of a request.
-
-        Raises
-        ------
-        PortLost
-            The port is gone.
-        """
+        """Send a command that has no reply at once, without resynchronising: for stopping and switching off."""
         with self.urgently():
             self.send(command)
 
@@ -213,13 +114,7 @@ class TextLine(Link):
         return self._unsolicited is not None and self._unsolicited(line)
 
     def inspect_old(self, old: bytes) -> None:
-        """Look at bytes that are thrown away, for messages that nobody asked for.
-
-        Parameters
-        ----------
-        old
-            The bytes, as they came, in any number of lines.
-        """
+        """Look at bytes, of any number of lines, that are thrown away, for messages that nobody asked for."""
 
     # ------------------------------------------------------------ inside
 

@@ -74,8 +74,6 @@ def distortion_terms(
 ) -> tuple[DistortionTerm, ...] | Literal["auto"]:
     """Return the coefficients of a set or a list, in the order of their lens model; ``auto`` if the data choose them.
 
-    Examples
-    --------
     >>> distortion_terms("k1k2p1p2"), distortion_terms(("k2", "k1")), distortion_terms("none")
     (('k1', 'k2', 'p1', 'p2'), ('k1', 'k2'), ())
     """
@@ -123,8 +121,6 @@ def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:
 def grid_angles(grid: Grid) -> Iterator[dict[str, float]]:
     """Yield the angles by axis, degrees, of a grid's poses in the order of the visits.
 
-    Examples
-    --------
     >>> grid = Grid(pan_deg=[-1, 1], tilt_deg=[0, 5])
     >>> [(a["pan"], a["tilt"]) for a in grid_angles(grid)]
     [(-1.0, 0.0), (1.0, 0.0), (1.0, 5.0), (-1.0, 5.0)]

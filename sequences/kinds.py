@@ -40,8 +40,6 @@ _KINDS = {
 def kind_of_format(stated: object) -> DocumentKind | None:
     """Return the kind that the value of ``format`` names; None for one that is not known.
 
-    Examples
-    --------
     >>> kind_of_format("starbench/queue/1").words
     'a queue'
     """

@@ -42,8 +42,6 @@ class OptionSettings(dict[str, str]):
 def file_with_settings(file: str, settings: Mapping[str, str]) -> str:
     """Return the name of a file in messages, without a line; it says so if settings replace values of the file.
 
-    Examples
-    --------
     >>> file_with_settings("a.yaml", {}), file_with_settings("a.yaml", {"name": "B"})
     ('a.yaml', 'a.yaml (with settings)')
     """
@@ -67,8 +65,6 @@ def with_settings(data: bytes, file: str, settings: Mapping[str, str]) -> bytes:
     Raises DocumentFaults: If the document or a value is not plain YAML, or if a path leads through a value that has no
       such part.
 
-    Examples
-    --------
     >>> print(with_settings(b"a: {b: 1}", "x.yaml", {"a.b": "[2, 3]", "c.d": "no"}).decode(), end="")
     a:
       b:

@@ -123,8 +123,6 @@ class Span(StrictModel):
     def angles_deg(self) -> list[float]:
         """Return ``count`` angles, degrees; a single angle is the middle.
 
-        Examples
-        --------
         >>> Span(first=-6, last=6, count=3).angles_deg()
         [-6.0, 0.0, 6.0]
         """

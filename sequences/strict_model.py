@@ -17,8 +17,6 @@ _ODD = re.compile(r"[+-]?[0-9][0-9_]*(?:\.[0-9_]*)?(?:[eE][+-]?[0-9_]+)?")
 def is_plain_number(text: str) -> bool:
     """Return whether a text is a plain decimal number, in digits 0 to 9 and without leading zeros.
 
-    Examples
-    --------
     >>> [is_plain_number(text) for text in ("60", "-0.5", ".5", "1e-3", "074", "6_0", "0x10", " 1", "nan")]
     [True, True, True, True, False, False, False, False, False]
     """

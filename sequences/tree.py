@@ -20,8 +20,6 @@ class Spot(NamedTuple):
 class Fault:
     """One fault at one place of a document.
 
-    Examples
-    --------
     >>> print(Fault("a.yaml", 4, 13, "run.light_hz", "not a number (got 'sixty')"))
     a.yaml:4:13: run.light_hz: not a number (got 'sixty')
     >>> print(Fault("b.yaml", 0, 0, "", "there is no such file."))
@@ -73,8 +71,6 @@ class Tree:
 def path_text(path: DocumentPath) -> str:
     """Write a path as text: keys joined by dots, indices in brackets; empty for the top of the document.
 
-    Examples
-    --------
     >>> path_text(("steps", 2, "record", "window_ms"))
     'steps[2].record.window_ms'
     """

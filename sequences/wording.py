@@ -73,8 +73,6 @@ def faults_of(error: ValidationError, tree: Tree, model: type[BaseModel]) -> lis
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return a hint for an unknown word, after a space: the most similar known word, or all; empty without any.
 
-    Examples
-    --------
     >>> did_you_mean("setle_s", ["settle_s", "record"])
     " Did you mean 'settle_s'?"
     >>> did_you_mean("x", ["pan", "tilt"])
@@ -141,8 +139,6 @@ def _quoted(value: Any) -> str:
 def _about_number(value: Any, path: DocumentPath = ()) -> str:
     """Return what to write instead of a number as people write it.
 
-    Examples
-    --------
     >>> _about_number("255,03"), _about_number("0.02 %"), _about_number("ten")
     (' Write a decimal point.', ' Write a share: 1 % is 0.01.', '')
     """

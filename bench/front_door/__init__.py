@@ -36,25 +36,7 @@ _STOPPED_BY_CTRL_C = 128 + 2  # As shells have it: 128 and the number of SIGINT
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name when it is first used (PEP 562), after a check of the five packages.
-
-    Parameters
-    ----------
-    name
-        Name of the attribute.
-
-    Returns
-    -------
-    Any
-        The attribute.
-
-    Raises
-    ------
-    AttributeError
-        If the front door does not have this name.
-    ForeignPackageError
-        If one of the five packages is not the one of Starbench.
-    """
+    """Load a name when it is first used (PEP 562), after a check of the five packages."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     require_own_packages()

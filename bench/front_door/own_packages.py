@@ -33,13 +33,7 @@ class ForeignPackageError(ImportError):
 
 
 def require_own_packages() -> None:
-    """Refuse unless Python finds all five packages in the folder in which Starbench is.
-
-    Raises
-    ------
-    ForeignPackageError
-        If one is missing, or is found in another folder. The message names it and says what to do.
-    """
+    """Refuse with `ForeignPackageError` unless Python finds all five packages in the folder in which Starbench is."""
     places = {name: _place(name) for name in PACKAGES}
     home = next(filter(_is_home, (place.parent for place in places.values() if place is not None)), None)
     if home is None:

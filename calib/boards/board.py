@@ -57,8 +57,6 @@ class Board:
     def parse(cls, text: str) -> Board:
         """Read a description such as ``checkerboard:11x7:20mm``: kind, columns x rows of points, and their distance.
 
-        Examples
-        --------
         >>> Board.parse("checkerboard:11x7:20mm").columns
         11
         """

@@ -17,8 +17,6 @@ def to_uint8(image: AnyArray) -> Bytes:
     Own linear stretch: 255 (value - low) / (high - low), cut at 0 and 255. A nan counts as the darkest value; all are 0
     if the image is constant or holds no finite value.
 
-    Examples
-    --------
     >>> to_uint8(np.array([[0.0, 1.0], [2.0, 4.0]])).tolist()
     [[0, 63], [127, 255]]
     """

@@ -13,8 +13,6 @@ def needed(places: int) -> float:
 
     Every place is as probable beforehand, so the odds of each are that many times smaller.
 
-    Examples
-    --------
     >>> round(needed(1)), round(needed(50))
     (10, 18)
     """

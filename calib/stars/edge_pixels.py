@@ -161,8 +161,6 @@ def quantise(image: NDArray[Any]) -> Bytes:
     If the image has no more values than that, each value is a level. Otherwise the levels have equal shares of the
     pixels, as those of histogram equalisation (Gonzalez and Woods, 2018).
 
-    Examples
-    --------
     >>> quantise(np.array([[0.0, 0.5], [1.0, 0.5]])).tolist()
     [[0, 1], [2, 1]]
     """

@@ -116,8 +116,6 @@ def open_sides(target: StarTarget, nodes: Ints) -> Bools:
 def cell_reach(is_open: Bools, reach: float, strip: float) -> Array:
     """Return (N, 2) how far from its centre a star's cell is used, pitches; ``reach`` is half the side between stars.
 
-    Examples
-    --------
     >>> cell_reach(np.array([[False, True]]), 0.49, 0.1).round(2).tolist()
     [[0.49, 0.39]]
     """
