@@ -56,6 +56,16 @@ def test_a_queue_is_planned_with_its_times_and_what_there_is_no_time_for(night):
     assert 0.1 < plan["expected_sigma"]["a"]["fx"] < 5
 
 
+def test_a_queue_names_its_stations_itself_and_a_sequence_needs_one(night):
+    folder, _ = night
+    both = called("plan", folder / "queue.yaml", "-s", "simulated", home=folder / "home")
+    assert both.returncode == 2
+    assert "names its stations itself" in both.stderr
+    none = called("plan", "three_pose", home=folder / "home")
+    assert none.returncode == 2
+    assert "--station" in none.stderr
+
+
 def test_a_rehearsal_ends_as_its_night_would(night):
     folder, ended = night
     assert ended.returncode == 1  # no time was left for a-003
@@ -92,9 +102,26 @@ def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
     assert len(list((tmp_path / "requests").iterdir())) == 1
 
 
+def test_a_request_to_a_rehearsal_or_to_no_batch_is_refused(night):
+    folder, _ = night
+    ended = called("tell", folder / "out", "add", folder / "job.yaml", home=folder / "home")
+    assert ended.returncode == 1
+    assert "is a rehearsal" in ended.stderr
+    nowhere = called("tell", folder, "withdraw", "a", home=folder / "home")
+    assert nowhere.returncode == 1
+    assert "There is no batch in this folder" in nowhere.stderr
+
+
 def test_the_demonstration_is_a_night_of_sixty_runs_of_nine_poses(night):
     folder, _ = night
     words = ("plan", ROOT / "sequences" / "night" / "queue.yaml", "--begin", "2026-03-01T19:30", "--json")
     plan = json.loads(called(*words, home=folder / "home").stdout)
     assert (plan["runs"], plan["no_time_for"]) == (60, [])
     assert plan["end_utc"] > "2026-03-02T04:00"
+
+
+@pytest.mark.parametrize("document", ["queue", "job"])
+def test_editors_get_the_shape_of_a_queue_and_of_a_job(night, document):
+    folder, _ = night
+    schema = json.loads(called("schema", document, home=folder / "home").stdout)
+    assert "start_at" in json.dumps(schema)

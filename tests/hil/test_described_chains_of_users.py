@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import DriverError
+from drivers.errors import DriverError, WrongDevice
 from tests.hil.direct_stages import VirtualClock
 from tests.hil.test_described_stages_of_users import changed, opened
 from tests.hil.text_wire import LINES, Motor, Wire, described
@@ -39,6 +39,19 @@ def module(clock: VirtualClock) -> tuple[Wire, list[Motor]]:
     return wire, motors
 
 
+def test_each_motor_of_a_module_is_moved_and_stopped(clock) -> None:
+    wire, motors = module(clock)
+    stage = opened(wire, described("tmcl"), ("0", 1000.0), ("1", 1000.0))
+    stage.home()
+    stage.move_to({"pan": -7.25, "tilt": 3.5})
+    assert [motor.position_deg for motor in motors] == [-7.25, 3.5]
+    for motor in motors:
+        motor.move(10.0)
+    stage.stop()
+    assert wire.sent.count("AMST 0") == wire.sent.count("AMST 1") == 1
+    assert not any(motor.is_busy for motor in motors)
+
+
 def test_a_motor_that_does_not_answer_its_stop_keeps_no_other_one_from_stopping(clock) -> None:
     wire, motors = module(clock)
     stage = opened(wire, described("tmcl"), ("0", 1000.0), ("1", 1000.0))
@@ -59,3 +72,12 @@ def test_a_stop_of_all_axes_is_sent_once(tmp_path, clock) -> None:
     motors[0].move(10.0)
     stage.stop()
     assert wire.sent.count("AMST 0") == 1
+
+
+def test_a_serial_number_and_a_firmware_in_digits_have_no_decimal_point(clock) -> None:
+    wire, _ = module(clock)
+    stage = opened(wire, described("tmcl"), ("0", 1000.0), serial="4711")
+    (axis,) = stage.identify()
+    assert (axis.serial, axis.firmware) == ("4711", "1140")
+    with pytest.raises(WrongDevice, match="the device answers '4711'"):
+        opened(wire, described("tmcl"), ("0", 1000.0), serial="4712")

@@ -10,16 +10,18 @@ import pytest
 from drivers.described.description import Exchange, parse_template
 from drivers.errors import (
     DeviceRefused,
+    MoveFailed,
     NotHomed,
     OutsideLimits,
     ReplyGarbled,
     ReplyTimeout,
 )
 from drivers.light import LightSettings
+from drivers.light.text import TextLight
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from simulators.faults.line_faults import LineFault
-from tests.hil.direct_lights import direct_light
+from tests.hil.direct_lights import MICROCONTROLLER, direct_light
 from tests.hil.direct_stages import FAMILIES, FLIR_PTU, LIMITS, DirectStage, VirtualClock
 
 pytestmark = pytest.mark.usefixtures("never_late")
@@ -63,6 +65,12 @@ def test_a_silent_stage_gets_the_stop_twice_and_is_told_within_three_seconds(rig
     assert clock.now_s - began_s < 3.0
 
 
+def test_one_lost_reply_to_a_stop_is_no_error(rig, clock) -> None:
+    rig.line.device.inject(LineFault("lost", count=1))
+    rig.stage.stop()
+    assert rig.line.sent.count(b"H ") == 2
+
+
 def test_a_query_that_became_a_command_is_noticed_before_the_next_move(rig) -> None:
     rig.stage.home()
     rig.stage.move_to({"pan": 10.0})
@@ -89,6 +97,14 @@ def test_a_station_that_contradicts_the_device_is_refused(rig, changes, fault) -
     assert not stage.is_homed()
 
 
+def test_a_reversed_axis_turns_the_other_way(rig) -> None:
+    stage = again(rig, axis(counts_per_deg=-800.0))
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert stage.position_deg()["pan"] == pytest.approx(5.0)
+    assert rig.true_deg() == pytest.approx(-5.0, abs=0.002)
+
+
 def test_a_refusal_says_what_the_device_said_and_an_unknown_setting_is_one(rig) -> None:
     fast = axis(limits=AxisLimits(-15.0, 15.0, 150.0, 100.0))
     before_deg = rig.true_deg()
@@ -98,6 +114,31 @@ def test_a_refusal_says_what_the_device_said_and_an_unknown_setting_is_one(rig) 
     wrong = parse_template("QQ", known=frozenset(), readable=None)
     with pytest.raises(DeviceRefused, match="refuses 'QQ': Illegal command entered"):
         again(rig, axis(), replace(FLIR_PTU, setup=(Exchange(wrong, wrong),))).home()
+
+
+def test_a_setting_may_have_another_unit_than_the_counter(rig) -> None:
+    speed = FLIR_PTU.settings[3]
+    assert speed.quantity == "speed"
+    halved = replace(FLIR_PTU, settings=(*FLIR_PTU.settings[:3], replace(speed, factor=0.5)))
+    again(rig, axis(), halved).home()
+    assert rig.line.sent.count(b"PS8000 ") == 1  # 20 deg/s of 800 counts a degree, halved
+
+
+def test_a_limit_switch_is_named(rig) -> None:
+    rig.stage.home()
+    rig.order("pan limit")
+    with pytest.raises(MoveFailed, match=r"pan .*limit switch"):
+        rig.stage.move_to({"pan": 10.0})
+
+
+def test_a_restart_at_zero_shows_in_the_settings_alone(rig) -> None:
+    stage = again(rig, axis(limits=AxisLimits(-14.0, 14.0, 20.0, 100.0)))
+    stage.home()
+    stage.move_to({"pan": 0.0})
+    rig.order("pan reboot")
+    rig.line.clock.sleep(5.0)
+    assert stage.position_deg()["pan"] == 0.0
+    assert not stage.is_homed()
 
 
 @pytest.mark.parametrize("echo", [b"%s\r\n%s ", b"%s \n"])
@@ -132,6 +173,28 @@ def test_more_or_less_of_a_line_end_than_described_is_no_reply(rig, described, s
     stage.move_to({"pan": 5.0})
     assert stage.position_deg()["pan"] == pytest.approx(5.0)
     assert rig.line.sent.count(b"V ") == 1  # nothing brought the line out of step
+
+
+def test_another_line_end_than_described_is_named(rig) -> None:
+    rig.line.spoil = lambda reply: reply.replace(b"\r\n", b"\n")
+    with pytest.raises(ReplyTimeout, match="ends in LF") as error:
+        again(rig, axis())
+    assert "reply_end" in error.value.remedy
+
+
+@pytest.mark.parametrize(("starts_s", "opens"), [(2.9, True), (9.0, False)])
+def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for(starts_s, opens) -> None:
+    """An Arduino Uno does; its boot loader is deaf for up to two seconds."""
+    clock = VirtualClock()
+    rig = direct_light("microcontroller", clock, np.random.default_rng(2))
+    awake_s, receive = clock.now_s + starts_s, rig.line.device.receive
+    rig.line.device.receive = lambda data: receive(data) if clock.now_s >= awake_s else b""
+    if opens:
+        TextLight(rig.line, MICROCONTROLLER, serial="SG0042", clock=clock).close()
+        return
+    with pytest.raises(ReplyTimeout):
+        TextLight(rig.line, MICROCONTROLLER, serial="SG0042", clock=clock)
+    assert clock.now_s < awake_s
 
 
 @pytest.mark.parametrize(("frequency_hz", "duty_percent"), [(3232, 1), (4999, 99), (4999.3, 50), (0.5, 1)])

@@ -1,5 +1,6 @@
 """Frame cameras: the same run as with an event camera, on pictures; and the simulated one as OpenCV sees it."""
 
+import json
 import socket
 import threading
 import time
@@ -7,7 +8,7 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from running import called, journal, results
+from running import called, journal, results, starbench
 
 from bench.measure.measure_frames import frame_gates, measure_frames
 from calib.target import StarTarget
@@ -77,6 +78,33 @@ def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(fini
 def test_the_seal_of_a_frame_cameras_run_holds(finished, home):
     verified = called("verify", finished, home=home)
     assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
+@pytest.mark.slow
+def test_its_results_follow_from_its_pictures(finished, home):
+    verified = called("verify", finished, "--again", home=home)
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    again = starbench("calibrate", finished, "--json", home=home)
+    assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]
+
+
+@pytest.mark.slow
+def test_pictures_of_a_run_played_again_give_the_same_camera(finished, home, tmp_path):
+    """A folder of pictures as the camera, on the simulated stage: eight a pose, in their order."""
+    (tmp_path / "pictures").mkdir()
+    taken = [frame for path in sorted((finished / "captures").iterdir()) for frame in read_frames(path)]
+    for number, frame in enumerate(taken):
+        write_frames(tmp_path / "pictures" / f"{number:03d}.tif", [frame])
+    station = (finished / "station.yaml").read_text()
+    camera = "driver: opencv\n  source: sim:frame-camera"
+    assert camera in station
+    played = station.replace(camera, f"driver: pictures\n  path: {tmp_path / 'pictures'}")
+    (tmp_path / "played.yaml").write_text(played)
+    folder = tmp_path / "again"
+    ended = starbench("run", "three_pose", "-s", tmp_path / "played.yaml", "-o", folder, home=home)
+    assert ended.returncode == 0, ended.stderr
+    assert results(folder)["calibration"]["camera"] == results(finished)["calibration"]["camera"]
+    assert results(folder)["run"]["simulated"]
 
 
 # ------------------------------------------------------------- the simulated camera, as OpenCV sees it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import DriverError, NotHomed
+from drivers.errors import DeviceRefused, DriverError, MoveFailed, NotHomed
 from drivers.stage import AxisLimits
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.grbl_protocol import parse_report
@@ -81,6 +81,24 @@ def test_a_restart_between_two_moves_leaves_no_reference_whatever_the_board_says
     assert rig.true_deg() == pytest.approx(-10.0, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"[FIRMWARE:grblHAL]\r\n",
+        b"$300=grblHAL\r\n",
+        b"[MSG:Caution: Unlocked]\r\n",
+        b"[MSG:INFO: Connecting to STA SSID:grbl]\r\n",
+        b"<Idle|MPos:-1.000|FS:0,0|SD:5.0,/grbl.nc>\r\n",
+        b"\r\n",
+    ],
+)
+def test_what_only_names_a_firmware_is_no_restart(line) -> None:
+    rig = Rig()
+    stage = rig.homed()
+    rig.line.ready += line
+    assert stage.is_homed()
+
+
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_every_firmware_of_the_family_is_homed_and_moved(firmware) -> None:
     rig = Rig(firmware)
@@ -128,6 +146,31 @@ def test_reports_of_the_family_are_read(line, state) -> None:
     assert (report.state, report.substate, report.machine_position[0]) == (*state, -1.0)
 
 
+def test_a_search_that_failed_at_once_is_told_at_once() -> None:
+    rig = Rig("grblhal")
+    stage = rig.open()
+    began_s = rig.clock.now_s
+    rig.line.lose_next(b"$H")
+    rig.line.before = lambda data: setattr(
+        rig.line, "ready", rig.line.ready + (b"ALARM:9\r\n" if data == b"$H\n" else b"")
+    )
+    rig.line.spoil = lambda reply: reply.replace(b"<Idle|", b"<Alarm|")
+    with pytest.raises(MoveFailed, match="ALARM:9"):
+        stage.home()
+    assert rig.clock.now_s - began_s < 10.0
+
+
+@pytest.mark.parametrize("steps_per_deg", [88.889, 100.1, 77.77, 66.67, 55.556, 44.45, 222.23, 711.11, 160.1])
+def test_a_limit_can_be_reached_with_any_scale(steps_per_deg) -> None:
+    rig = Rig(steps_per_deg=steps_per_deg)
+    stage = rig.homed()
+    for limit_deg in (-15.0, 15.0):
+        stage.move_to({"pan": limit_deg})
+        reached_deg = stage.position_deg()["pan"]
+        assert abs(reached_deg) <= 15.0005  # the board prints three places
+        assert reached_deg == pytest.approx(limit_deg, abs=1.0 / steps_per_deg + 0.0005)
+
+
 @pytest.mark.parametrize(
     "left", [b"G91\n", b"$10=0\n", b"$13=1\n", b"$C\n", b"$SLP\n", b"$20=0\n", b"$32=1\n"]
 )
@@ -139,3 +182,27 @@ def test_an_angle_is_right_whatever_another_program_has_left(left) -> None:
         stage.move_to({"pan": angle_deg})
         assert rig.true_deg() == pytest.approx(angle_deg, abs=0.01)
         assert stage.position_deg()["pan"] == pytest.approx(angle_deg, abs=0.01)
+
+
+def test_a_start_up_line_that_moves_an_axis_is_refused_before_homing() -> None:
+    rig = Rig()
+    rig.line.spoil = lambda reply: reply.replace(b"$N0=\r", b"$N0=G0 X-10\r")
+    with pytest.raises(DeviceRefused, match="G0 X-10"):
+        rig.open()
+
+
+def test_a_travel_that_the_board_keeps_in_a_file_is_used_if_it_is_wide_enough() -> None:
+    rig = Rig("fluidnc")
+    stage = rig.homed()
+    stage.move_to({"pan": -15.0})
+    assert rig.board.settings[130] == 35.0
+    rig.board.settings[120] = 500.0
+    with pytest.raises(DeviceRefused, match=r"\$120: .*50\.000.*500\.0"):
+        rig.open()
+
+
+def test_homing_that_leaves_an_axis_out_is_refused() -> None:
+    rig = Rig("grblhal")
+    rig.board.settings |= {44: 4.0, 45: 2.0}
+    with pytest.raises(DeviceRefused, match=r"reference .*\$44"):
+        rig.open()

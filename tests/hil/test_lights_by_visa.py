@@ -10,12 +10,15 @@ import pyvisa
 from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 
+from bench.stations.devices import open_light
+from bench.stations.station import load_station
 from drivers.clock import SystemClock
 from drivers.errors import PortBusy, PortLost, PortNotFound
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from simulators.assembly import make_light
 from simulators.config import LightConfig
+from simulators.ports.serial_device import SerialDevice, TcpPort
 
 FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
 ADDRESS = "visa:USB0::0x1AB1::0x0642::DG1ZA244406036::INSTR"
@@ -95,6 +98,26 @@ def test_a_generator_is_set_read_back_and_switched(monkeypatch, kind) -> None:
     assert instrument.reads_without_query == 0
 
 
+def test_a_station_file_names_a_generator_by_its_address(monkeypatch, tmp_path) -> None:
+    instrument = connect(monkeypatch)
+    path = tmp_path / "station.yaml"
+    text = f"""
+format: starbench/station/1
+name: visa
+stage: {{driver: zaber_ascii, port: "sim:gimbal", axes: {{pan: {{device: 1, serial: 1, microsteps_per_deg: 6400,
+  limits_deg: [-12, 12], speed_deg_s: 10, acceleration_deg_s2: 50}}}}}}
+light: {{driver: scpi, dialect: numbered, port: "{ADDRESS}", high_v: 5}}
+camera: {{driver: simulated_evk4, address: "sim:camera", serial: "00000000"}}
+simulation: {{}}
+"""
+    path.write_text(text, encoding="utf-8")
+    light = open_light(load_station(str(path)).value, str, SystemClock(), None)
+    light.apply(FLICKER)
+    light.on()
+    assert instrument.states[-1].output
+    light.close()
+
+
 def test_without_the_extra_one_sentence_says_how_to_install_it(monkeypatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(PortNotFound, match=r'needs PyVISA.*pip install "starbench\[visa\]"'):
@@ -127,6 +150,15 @@ def test_a_lost_connection_is_opened_again_and_the_light_is_switched_off(monkeyp
     light.close()
 
 
+def test_an_answer_that_came_too_late_is_cleared_and_asked_for_again(monkeypatch) -> None:
+    instrument = connect(monkeypatch)
+    light = opened()
+    light.apply(FLICKER)
+    instrument.slow = 1
+    assert light.read() == FLICKER
+    light.close()
+
+
 def test_one_instrument_has_one_user(monkeypatch) -> None:
     connect(monkeypatch)
     light = opened()
@@ -134,3 +166,17 @@ def test_one_instrument_has_one_user(monkeypatch) -> None:
         opened()
     light.close()
     opened().close()
+
+
+def test_a_plain_socket_of_visa_is_a_socket() -> None:
+    states = []
+    driver = make_light(LightConfig("rigol"), time.monotonic, states.append)
+    with SerialDevice(TcpPort("light"), driver, paced=False) as device:
+        number = device.address.rpartition(":")[2]
+        light = ScpiLight.open(
+            f"visa:TCPIP0::127.0.0.1::{number}::SOCKET", dialect="numbered", clock=SystemClock()
+        )
+        assert light.apply(FLICKER) == FLICKER
+        light.on()
+        assert states[-1].output
+        light.close()

@@ -7,12 +7,14 @@ import pytest
 
 from drivers.errors import DriverError, LightFault, PortLost, SettingRefused
 from drivers.light import LightSettings
+from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from simulators.assembly import make_light
 from simulators.config import LightConfig
 from simulators.errors import ConfigError
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
+from simulators.lights.siglent import SiglentGenerator
 from tests.hil.direct_lights import OPENED
 from tests.hil.direct_stages import DirectLine, VirtualClock, direct_line
 
@@ -157,7 +159,34 @@ def test_what_stays_on_although_the_command_was_accepted_is_refused_by_its_name(
         light.apply(FLICKER)
 
 
+def test_a_siglent_that_loses_the_command_after_that_of_the_waveform_is_set_all_the_same() -> None:
+    clock, states = VirtualClock(), []
+    device = SiglentGenerator("SG1", clock.monotonic, states.append, loses_next=True)
+    light = ScpiLight(direct_line(device, clock), clock=clock, dialect="siglent")
+    assert light.apply(FLICKER) == FLICKER
+    device.change(sync=False, shape="sine")
+    assert light.apply(FLICKER) == FLICKER
+
+
+@pytest.mark.parametrize(("low_v", "high_v"), [(6.0, 8.0), (-8.0, -6.0), (-5.0, 0.5)])
+def test_the_levels_of_a_siglent_never_cross_those_that_were_left(low_v, high_v) -> None:
+    clock = VirtualClock()
+    device = SiglentGenerator("SG1", clock.monotonic)
+    device.change(load_ohm=float("inf"), shape="square", low_v=low_v, high_v=high_v)
+    light = ScpiLight(direct_line(device, clock), clock=clock, dialect="siglent")
+    got = light.apply(FLICKER)
+    assert (got.low_v, got.high_v) == (0.0, 3.0)
+
+
 # ---------------------------------------------------------------- strobe controllers
+
+
+def test_events_that_come_unasked_are_faults_and_no_answers() -> None:
+    rig = Rig("gardasoft", "events")
+    rig.device.trip()
+    assert not rig.light.is_on()
+    assert rig.light.faults() == ["the controller reports event Evt1,130; (see section 13.5 of its manual)"]
+    assert rig.light.apply(FLICKER).frequency_hz == pytest.approx(50.0)
 
 
 @pytest.mark.parametrize("event", ["Evt1,5\r\n", "Evt0,12;", "\n\rEvt2,131;\n\r"])
@@ -180,6 +209,30 @@ def test_an_event_within_a_reply_is_kept_and_the_reply_is_read(event, where) -> 
     ]
 
 
+@pytest.mark.parametrize(
+    "echo",
+    [
+        lambda sent, reply: sent.strip() + reply,
+        lambda sent, reply: sent + reply,
+        lambda sent, reply: sent.strip() + b"\n\r" + reply,
+        lambda sent, reply: sent.strip().lower() + b" " + reply.replace(b"\r\n", b"\n\r"),
+    ],
+)
+def test_a_controller_that_echoes_is_served_whatever_the_form_of_its_echo(echo) -> None:
+    clock, states = VirtualClock(), []
+    device = make_light(LightConfig("gardasoft"), clock.monotonic, states.append)
+    line = direct_line(device, clock)
+    line.spoil = lambda reply: echo(line.sent[-1], reply)
+    light = GardasoftLight(line, clock=clock)
+    assert light.identify().model == "RT460-20"
+    light.apply(FLICKER)
+    light.on()
+    assert states[-1].output
+    assert light.faults() == []
+    light.off()
+    assert not states[-1].output
+
+
 def test_a_lamp_that_an_input_may_switch_on_is_not_said_to_be_off() -> None:
     rig = Rig("gardasoft", "switched")
     assert rig.light.is_on()
@@ -193,6 +246,33 @@ def test_a_controller_that_ignores_triggers_for_longer_than_a_period_is_refused(
     rig.line.device.receive = lambda data: receive(data.replace(b"60.0,0\r", b"60.0\r"))
     with pytest.raises(SettingRefused, match=r"retrigger delay: asked 0\.0000 ms, got 500\.0000 ms"):
         rig.light.apply(FLICKER)
+
+
+@pytest.mark.parametrize(
+    "version", ["RT420F-20 (HW02) V031", "TR-RC120 (HW01) V012", "VTR1 (HW001) V001", "RT860F-2 V1.20"]
+)
+def test_a_controller_of_the_family_is_known_by_its_model(version) -> None:
+    rig = Rig("gardasoft", "")
+    rig.line.spoil = lambda reply: reply.replace(b"RT460-20 (HW02) V031", version.encode())
+    light = GardasoftLight(rig.line, clock=rig.clock)
+    assert light.identify().model == version.split()[0]
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda reply: reply.replace(b", ", b","),
+        lambda reply: reply.replace(b", ", b",\r\n"),
+        lambda reply: reply.replace(b"MD ", b"MD=").replace(b"S ", b"S").replace(b"TM ", b"TM="),
+        lambda reply: reply.replace(b"TP 20.000ms", b"TP 20ms").replace(b"PU 8.000ms", b"PU 8000us"),
+        lambda reply: reply.replace(b"PU 8.000ms", b"PU 0.008s").replace(b"60.0%", b"60%"),
+    ],
+)
+def test_the_state_of_a_channel_is_read_in_another_layout(form) -> None:
+    rig = Rig("gardasoft", "")
+    rig.line.spoil = form
+    got = rig.light.apply(FLICKER)
+    assert (got.frequency_hz, got.duty_percent, got.high_v) == pytest.approx((50.0, 40.0, 3.0))
 
 
 # ---------------------------------------------------------------- restarts

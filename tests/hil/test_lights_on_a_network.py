@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import pytest
 from waiting import wait_until
 
 from drivers.clock import SystemClock
-from drivers.errors import DriverError, PortLost, ReplyTimeout
+from drivers.errors import DriverError, LightFault, PortLost, ReplyTimeout
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
@@ -79,6 +80,15 @@ def test_a_light_that_restarted_while_its_line_was_closed_is_told(network) -> No
     assert network.light.faults() != []
 
 
+def test_a_light_that_restarted_before_it_is_switched_on_stays_dark(network) -> None:
+    network.light.apply(FLICKER)
+    network.pass_time(11.0)
+    network.driver.exchange("SG0042")
+    with pytest.raises(LightFault):
+        network.light.on()
+    assert not network.states[-1].output
+
+
 def test_what_cannot_be_switched_off_is_said_and_the_port_is_named(network) -> None:
     network.light.apply(FLICKER)
     network.light.on()
@@ -87,6 +97,15 @@ def test_what_cannot_be_switched_off_is_said_and_the_port_is_named(network) -> N
         network.light.off()
     assert lost.value.where == network.device.address
     network.device.replug()
+    network.light.off()
+    assert not network.states[-1].output
+
+
+def test_a_device_that_needs_a_moment_before_it_accepts_another_connection_is_switched_off(network) -> None:
+    network.light.apply(FLICKER)
+    network.light.on()
+    network.device.unplug()
+    threading.Timer(0.3, network.device.replug).start()
     network.light.off()
     assert not network.states[-1].output
 

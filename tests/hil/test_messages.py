@@ -58,6 +58,13 @@ def test_a_recipient_that_the_server_refuses_is_named(to):
         send(MESSAGE, mail_to(server, *to))
 
 
+def test_a_mail_server_that_is_not_there_is_a_failed_delivery():
+    with serving(MailServer()) as server:
+        gone = mail_to(server, "a@lab.example")
+    with pytest.raises(DeliveryFailed, match="refused"):
+        send(MESSAGE, gone)
+
+
 class Services:
     """Stands for the library apprise: takes what it is told to take."""
 
@@ -78,6 +85,13 @@ class Services:
 
 
 CHAT = AppriseConfig(url_env="CHAT")
+
+
+def test_another_service_gets_subject_and_text(monkeypatch):
+    services = Services(takes=True)
+    monkeypatch.setitem(sys.modules, "apprise", services)
+    send(MESSAGE, CHAT, {"CHAT": "json://127.0.0.1"})
+    assert services.messages == [{"title": MESSAGE.subject, "body": MESSAGE.text}]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from bench.stations.station_text import read_stage_protocol
 from drivers.described.line import DescribedLine
-from drivers.errors import DriverError
+from drivers.errors import DeviceRefused, DriverError
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
@@ -141,6 +141,14 @@ def test_a_cut_position_gives_no_wrong_angle(device) -> None:
     assert stage.is_homed()
     stage.move_to({"pan": 1.0})
     assert motor.position_deg == 1.0
+
+
+def test_a_refusal_of_ludl_is_told_and_nothing_moves() -> None:
+    stage, _, motor = opened("ludl")
+    stage.home()
+    with pytest.raises(DeviceRefused, match="value out of range"):
+        stage.move_to({"pan": 14.5})
+    assert motor.position_deg == 0.0
 
 
 def test_a_device_that_never_ends_a_reply_is_refused(monkeypatch) -> None:

@@ -1,6 +1,7 @@
 """The main job as an operator sees it: from a sequence file to a sealed report, and back again."""
 
 import json
+import math
 import re
 import shutil
 import signal
@@ -104,6 +105,20 @@ def test_calibrating_again_from_the_run_folder_gives_the_same_numbers(finished, 
     again = called("calibrate", folder, "--json", home=home)
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)["camera"] == answer["camera"]
+
+
+def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, home):
+    answer, _, folder = finished
+    captures = sorted((folder / "captures").iterdir())
+    again = called("calibrate", *captures, "--json", home=home)
+    assert again.returncode == 0, again.stderr
+    bare = json.loads(again.stdout)
+    # Captures alone hold no certificate and no readings.
+    assert bare["sigma"]["fx"] > 3 * answer["sigma"]["fx"]
+    assert all(
+        abs(bare["camera"][n] - answer["camera"][n]) < 3 * math.hypot(bare["sigma"][n], answer["sigma"][n])
+        for n in ("fx", "fy", "cx", "cy", "k1", "k2")
+    )
 
 
 KILLED = [

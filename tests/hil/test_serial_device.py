@@ -50,6 +50,11 @@ def test_a_client_that_does_not_read_loses_bytes_and_holds_nobody_up(tmp_path):
         assert line.read(2) == b"aa"
 
 
+def test_a_port_in_a_folder_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(SimulatorError, match="Cannot create the link"):
+        PseudoTerminal(tmp_path / "nowhere" / "port")
+
+
 def test_a_link_that_somebody_else_has_taken_is_left_alone(tmp_path):
     first = PseudoTerminal(tmp_path / "port")
     second = PseudoTerminal(tmp_path / "port")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from waiting import wait_until
 
 from simulators.bench import Bench, main
 from simulators.config import bench_config
@@ -82,6 +83,22 @@ def test_a_signal_ends_the_bench_and_removes_its_ports(tmp_path, number):
     assert not os.path.lexists(addresses["endpoints"]["gimbal"])
 
 
+def test_the_bench_runs_in_the_background_of_a_terminal(tmp_path):
+    master, slave = os.openpty()
+    # A session's leader that opens a terminal has it as its own: a shell with job control, as an operator types into.
+    script = (
+        f"exec 0<>{os.ttyname(slave)} 1>&0 2>&0; set -m; "
+        f"{sys.executable} -m simulators.bench --folder {tmp_path} > {tmp_path}/said & "
+        f"while [ ! -s {tmp_path}/said ]; do sleep 0.1; done; sleep 0.3; jobs; kill %1; wait"
+    )
+    subprocess.run(["/bin/bash", "-c", script], start_new_session=True, check=False, timeout=60)
+    output = os.read(master, 65_536)
+    os.close(slave)
+    os.close(master)
+    assert b"Running" in output
+    assert b"Stopped" not in output
+
+
 @pytest.mark.parametrize(
     ("config", "message"),
     [
@@ -145,6 +162,21 @@ def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
     }
     _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (0, "")
+
+
+def test_faults_of_the_configuration_happen(tmp_path):
+    faults = [
+        {"device": "gimbal", "fault": "lost"},
+        {"device": "light", "fault": "lamp_open", "after_s": 0.2},
+    ]
+    with Bench(tmp_path, bench_config({"faults": faults})) as bench:
+        with serial.Serial(bench.endpoints["gimbal"], 115_200, timeout=0.3) as line:
+            assert ask(line, "/1 0 00") == ""
+            assert ask(line, "/1 0 01").startswith("@01 0 01 OK")
+        with serial.Serial(bench.endpoints["light"], 9600, timeout=5.0) as line:
+            line.write(b"FUNC SQU;:VOLT:HIGH 2;:OUTP ON\n")
+            assert ask(line, "OUTP?") == "1"
+        wait_until(lambda: bench.world.light(bench.world.now_s()).high == 0.0, 10.0)
 
 
 def test_without_pseudo_terminals_the_lines_run_over_tcp(tmp_path):

@@ -12,6 +12,7 @@ from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.pixels import sensor_stream
 from simulators.pixels.sensor import Sensor
 from simulators.pixels.sensor_stream import CameraState, SensorStream, sync_edges
+from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisMotion, LightState, World
 from tests.hil.evk4_host import COMPUTING, FLICKER, SMALL, Host, bench
 
@@ -113,6 +114,18 @@ def test_a_fault_reaches_the_host(camera):
         kind, payload = host.frame()
     assert kind == b"N"
     assert json.loads(payload) == {"event": "fault", "message": "over temperature"}
+
+
+def test_a_world_that_cannot_be_drawn_is_reported_to_the_host():
+    camera = SimulatedEvk4(World(truth_from_config({"camera": {"k1": -50.0}})), paced=False)
+    camera.start()
+    with Host(camera) as host:
+        assert host.ask("start")["ok"]
+        kind, payload = host.frame()
+        assert kind == b"N"
+        assert "camera" in json.loads(payload)["message"]
+        assert host.ask("stop")["ok"]
+    camera.close()
 
 
 # ---------------------------------------------------------------- the stream
@@ -257,3 +270,13 @@ def test_a_preview_is_in_phase_with_the_light_and_sees_a_turn(monkeypatch):
     there = fired_in(SensorStream(world, camera, {}))
     assert np.corrcoef(after.ravel(), there.ravel())[0, 1] > 0.9
     assert np.corrcoef(after.ravel(), before.ravel())[0, 1] < 0.7
+
+
+def test_a_preview_cannot_go_on_under_another_light_or_with_other_settings():
+    world, camera = bench(), CameraState()
+    preview = SensorStream(world, camera, {}, preview=True)
+    preview.next_frame()
+    assert not preview.go_on(CameraState(trigger_in=True), preview.clock_us)
+    assert not preview.go_on(camera, preview.clock_us + 1)  # the clock has run on since
+    world.set_light(LightState(output=True, sync=True, frequency_hz=75.0))
+    assert not preview.go_on(camera, preview.clock_us)

@@ -1,5 +1,6 @@
 """Recordings of the simulated EVK4, made by the driver over its socket."""
 
+import itertools
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
@@ -72,6 +73,29 @@ def test_the_same_seed_gives_the_same_file(recorded, tmp_path):
     assert (tmp_path / "again.raw").read_bytes() == recorded[0].read_bytes()
 
 
+class LateClock(SystemClock):
+    """The clock of a busy computer: each sleep takes longer."""
+
+    def sleep(self, duration_s):
+        super().sleep(duration_s + 0.002)
+
+
+def test_equal_runs_give_the_same_files_however_late_they_are_stopped(tmp_path):
+    def files(name, clock):
+        with bench(LightState(output=True, sync=True), clock) as (camera, _):
+            camera.apply(SETTINGS)
+            paths = [tmp_path / f"{name}-{k}.raw" for k in range(3)]
+            for path, duration_s in zip(paths, (0.1, 0.01, 0.01), strict=True):
+                camera.record(path, duration_s)
+        return paths
+
+    punctual, late = files("punctual", SystemClock()), files("late", LateClock())
+    assert [path.read_bytes() for path in punctual] == [path.read_bytes() for path in late]
+    spans = [(scan.first_t_us, scan.last_t_us) for scan in (RawFile.open(path).scan() for path in late)]
+    assert [first for first, _ in spans] == [0, 102_400, 204_800]
+    assert all(last < first for (_, last), (first, _) in itertools.pairwise(spans))
+
+
 def test_a_recording_over_the_wrap_of_the_clock_is_read_as_any_other(tmp_path):
     def recorded_at(clock_us):
         path = tmp_path / f"{clock_us}.raw"
@@ -99,6 +123,12 @@ def test_a_recording_over_the_wrap_of_the_clock_is_read_as_any_other(tmp_path):
 
 def measured(path):
     return measure(path, name="p", target=StarTarget(), image="auto", periods=None, expected_hz=60.0)
+
+
+def test_without_trigger_input_there_are_no_triggers(dark, tmp_path):
+    camera, _ = dark
+    camera.apply(CameraSettings(trigger_in=False))
+    assert camera.record(tmp_path / "pose.raw", 0.01).triggers == 0
 
 
 def test_a_second_host_is_refused_while_the_camera_is_held(dark):

@@ -126,6 +126,14 @@ def test_each_value_is_held_at_its_own_limit(generator, command, query, held):
     assert generator.say("SYST:ERR?").startswith("-222,")
 
 
+def test_an_open_lamp_sees_twice_the_voltage_shown_for_fifty_ohm(generator):
+    generator.say("VOLT:HIGH 2;LOW 0")
+    assert (generator.light.low_v, generator.light.high_v) == pytest.approx((0.0, 4.0))
+    generator.say("OUTP:LOAD INF")
+    assert generator.say("VOLT:HIGH?") == "+4.0000000000000E+00\n"
+    assert generator.light.high_v == pytest.approx(4.0)
+
+
 # ---------------------------------------------------------------- other makes
 def test_a_make_with_numbered_channels_answers_on_and_off():
     generator = Generator(numbered_channels=True, maker="RIGOL TECHNOLOGIES", name="DG4062")

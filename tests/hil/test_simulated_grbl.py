@@ -144,3 +144,12 @@ def test_a_target_beyond_the_travel_is_an_alarm_that_only_a_reset_ends(homed: Bo
 def test_any_block_is_taken_or_refused_by_number(line: str):
     with suppress(GcodeError):
         assert set(parse_block(line).targets) <= set("XYZ")
+
+
+def test_a_reset_while_homing_is_an_alarm_an_ok_and_a_restart(homed: Board):
+    homed.say("G0 X-21")
+    homed.wait()
+    homed.say("$H")
+    homed.wait(0.1)
+    assert homed.press(b"\x18") == "ALARM:6\r\n"
+    assert homed.wait(1.0) == "ok\r\n" + BANNER + LOCKED

@@ -129,6 +129,20 @@ def test_a_border_stops_a_move_which_then_has_failed(homed: Controller):
     assert (homed.status().position, homed.status().failed) == (1600 * 256, False)
 
 
+def test_a_soft_stop_keeps_the_reference_a_harsh_one_does_not(homed: Controller):
+    homed.move(1000)
+    homed.wait(0.2)
+    homed.ask(b"sstp")
+    assert homed.status().moving
+    homed.wait()
+    assert homed.status().flags & 0x20
+    homed.move(0)
+    homed.wait(0.2)
+    homed.ask(b"stop")
+    assert not homed.status().moving
+    assert not homed.status().flags & 0x20
+
+
 def test_a_stall_is_an_alarm_in_which_moves_are_ignored_until_stop(homed: Controller):
     homed.device.axis.arm(MotionFault("stall"))
     homed.move(1000)

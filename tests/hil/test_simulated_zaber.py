@@ -159,10 +159,32 @@ def test_an_interrupted_move_leaves_its_warning_until_cleared(homed: Gimbal):
     assert homed.ask("1 1 05") == ["@01 1 05 OK IDLE -- 0"]
 
 
+def test_speed_and_acceleration_settings_make_the_ramp(homed: Gimbal):
+    homed.ask(f"1 1 02 set maxspeed {round(10 * SCALE * 1.6384)}")
+    homed.ask(f"1 1 03 set accel {round(50 * SCALE * 1.6384 / 10_000)}")
+    homed.ask(f"1 1 04 move abs {10 * SCALE}")
+    homed.wait(1.19)
+    assert homed.ask("1 1 05") == ["@01 1 05 OK BUSY -- 0"]
+    homed.wait(0.02)
+    assert homed.ask("1 1 06") == ["@01 1 06 OK IDLE -- 0"]
+
+
 def test_the_emergency_command_halts_at_once(homed: Gimbal):
     homed.ask("1 1 02 move max")
     homed.wait(0.3)
     assert homed.ask("1 1 03 estop") == ["@01 1 03 OK IDLE NI 0"]
+
+
+def test_alerts_are_sent_unsolicited_if_enabled(homed: Gimbal):
+    homed.ask("1 1 02 move abs 100")
+    homed.wait()
+    assert homed.chain.unsolicited() == b""
+    homed.ask("1 0 03 set comm.alert 1")
+    homed.ask("1 1 04 move abs 0")
+    assert homed.chain.unsolicited() == b""
+    homed.wait()
+    assert homed.chain.unsolicited() == b"!01 1 IDLE --:" + checksum("01 1 IDLE --").encode() + b"\r\n"
+    assert homed.chain.unsolicited() == b""
 
 
 def test_a_stall_stops_the_axis_and_raises_its_flag_until_cleared(homed: Gimbal):
@@ -180,6 +202,15 @@ def test_a_restart_in_motion_is_silence_then_a_lost_reference(homed: Gimbal):
     assert homed.ask("1 1 03") == []
     homed.wait(0.5)
     assert homed.ask("1 1 04 get pos") == ["@01 1 04 OK IDLE WR 0"]
+
+
+# ---------------------------------------------------------------- the line
+def test_bytes_take_their_time_on_the_line(port: SerialDevice):
+    with serial.Serial(port.address, 115_200, timeout=5.0) as line:
+        begun = time.monotonic()
+        line.write(b"/0 0 00\n")
+        answer = line.read_until(b"\n") + line.read_until(b"\n")
+        assert time.monotonic() - begun >= (8 + len(answer)) * 10 / 115_200
 
 
 def test_a_wrong_baud_rate_is_garbage(port: SerialDevice):

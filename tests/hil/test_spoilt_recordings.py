@@ -151,6 +151,16 @@ def test_a_good_recording_passes_every_gate(good, tmp_path):
     assert facts["named_by"] == "tag"
 
 
+def test_a_window_of_one_period_shows_stars_but_no_motion(good, tmp_path):
+    judge(tmp_path / "good.raw", good)
+    measurement = measure(
+        tmp_path / "good.raw", name="p", target=TARGET, image="any", periods=1, expected_hz=60.0
+    )
+    assert measurement.stars > 60
+    assert measurement.facts["motion_px"] is None
+    assert measurement.facts["image"]["kind"] == "any"
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [

@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from running import results, starbench
+from running import journal, results, starbench
 
 from bench.measure.measure_frames import measure_frames
 from calib.errors import DegenerateViews
@@ -74,3 +74,20 @@ def test_poses_without_the_tag_calibrate_and_the_result_says_what_named_their_st
     assert max(pose["rms_px"] for pose in poses) < 0.1
     assert max(abs(row["error_sigmas"]) for row in answer["results"]["comparison"]) < 4
     assert "identified by the gimbal" in (folder / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_motion_is_judged_in_poses_without_the_tag_too(finished):
+    _, folder = finished
+    checked = [line["measured"] for line in journal(folder) if line["event"] == "attempt_checked"]
+    assert len(checked) == 5
+    assert all(measured["motion_px"] < 0.05 for measured in checked)
+
+
+@pytest.mark.slow
+def test_without_earlier_poses_that_show_the_tag_the_stars_stay_unnamed(tmp_path, home):
+    ended, folder = run(tmp_path, home, [WITHOUT[0], *WITH_TAG])
+    assert ended.returncode == 1
+    assert "stars, but no readable part of the tag" in ended.stderr
+    assert "Begin with poses that have the tag in view" in ended.stderr
+    assert not any(line["accepted"] for line in journal(folder) if line["event"] == "attempt_checked")

@@ -107,6 +107,14 @@ def test_a_stop_of_a_controller_is_confirmed_though_it_is_lost_once(rig, lost) -
     assert rig.true_deg() == pytest.approx(rest, abs=1e-3)
 
 
+def test_updates_that_another_program_has_switched_on_are_no_trouble(rig) -> None:
+    rig.controller.receive(apt.short(0x0011))
+    rig.stage.home()
+    rig.controller.receive(apt.short(0x0011))
+    rig.stage.move_to({"pan": 3.0})
+    assert rig.stage.position_deg()["pan"] == pytest.approx(3.0, abs=1e-3)
+
+
 def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(rig) -> None:
     rig.stage.home()
     rig.controller.switch_off_channel(rig.line.clock.now_s)
@@ -116,6 +124,13 @@ def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(r
     rig.stage.home()
     rig.stage.move_to({"pan": 5.0})
     assert rig.true_deg() == pytest.approx(5.0, abs=1e-3)
+
+
+def test_a_limit_switch_is_named(rig) -> None:
+    rig.stage.home()
+    rig.order("pan limit")
+    with pytest.raises(MoveFailed, match="forward limit switch"):
+        rig.stage.move_to({"pan": 9.0})
 
 
 def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.errors import MoveFailed, MoveTimeout
+from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout
 from drivers.stage import thorlabs_controller as apt
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
@@ -15,6 +15,7 @@ from simulators.stages.thorlabs_apt import AptController
 from tests.hil.direct_stages import (
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
+    PRM1Z8_COUNTS_PER_DEG,
     DirectLine,
     DirectStage,
     VirtualClock,
@@ -92,6 +93,19 @@ def test_the_station_says_where_a_zero_is(rig) -> None:
     assert rig.true_deg() == pytest.approx(5.0 + 1.0 - 4.0 + 1.5, abs=0.002)
 
 
+def test_a_zero_of_an_unknown_stage_is_not_guessed() -> None:
+    rig = rig_of("thorlabs")
+    rig.controller.receive(home_message(rig, direction=1, offset_deg=2.5))
+    kept = rig.controller.receive(apt.short(apt.REQUEST_HOME, 1))
+    axis = ThorlabsAxis(name="pan", port="", counts_per_deg=PRM1Z8_COUNTS_PER_DEG * 1.1, limits=LIMITS)
+    with pytest.raises(DeviceRefused) as caught:
+        ThorlabsStage([rig.line], [axis], clock=rig.line.clock)
+    assert "home_offset_deg: 2.27" in caught.value.what
+    assert "home_direction: forward" in caught.value.what
+    assert "home_offset_deg" in caught.value.remedy
+    assert rig.controller.receive(apt.short(apt.REQUEST_HOME, 1)) == kept
+
+
 def k10cr1_far_away(**more) -> tuple[ThorlabsStage, AptController, DirectLine]:
     """A K10CR1 without end stops, 120 degrees from its switch."""
     clock = VirtualClock()
@@ -100,6 +114,17 @@ def k10cr1_far_away(**more) -> tuple[ThorlabsStage, AptController, DirectLine]:
     line = direct_line(controller, clock)
     axis = ThorlabsAxis(name="pan", port="", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS, **more)
     return ThorlabsStage([line], [axis], clock=clock), controller, line
+
+
+@pytest.mark.parametrize("speed_deg_s", [0.4, 2.0])
+def test_a_slow_search_of_a_healthy_stage_is_no_blockage(speed_deg_s) -> None:
+    """A K10CR1 needs a minute for 120 degrees at the speed it has after power-up."""
+    stage, controller, line = k10cr1_far_away(home_speed_deg_s=speed_deg_s)
+    began_s = line.clock.now_s
+    stage.home()
+    assert line.clock.now_s - began_s > 115.0 / speed_deg_s
+    assert stage.is_homed()
+    assert controller.axis.pointing.angle_deg(line.clock.now_s + 1.0) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_search_that_goes_on_and_on_ends_by_the_controller_s_own_speed() -> None:
@@ -118,6 +143,28 @@ def test_a_correction_of_backlash_is_switched_off(rig) -> None:
     rig.controller.receive(apt.long(apt.SET_BACKLASH, struct.pack("<Hi", 1, 5000)))
     rig.reopen()
     assert rig.controller.receive(apt.short(apt.REQUEST_BACKLASH, 1))[6:] == struct.pack("<Hi", 1, 0)
+
+
+def test_a_controller_that_does_not_tell_its_home_parameters_is_told(rig) -> None:
+    rig.line.lose = lambda data: data.endswith(apt.short(apt.REQUEST_HOME, 1))
+    stage = rig.reopen()
+    assert "pan: the controller does not tell its home parameters, so its zero is not known" in stage.faults()
+
+
+def test_a_controller_that_rounds_speeds_and_ramps_to_its_own_steps_is_healthy(rig) -> None:
+    rig.controller.speed_step = 8
+    stage = rig.reopen()
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert stage.faults() == []
+
+
+def test_a_speed_that_a_controller_does_not_keep_is_named(rig) -> None:
+    rig.controller.speed_step = 10**10
+    rig.controller.restart(rig.line.clock.now_s)
+    rig.line.clock.sleep(2.0)
+    with pytest.raises(DeviceRefused, match=r"speed .*\(0, 0\)"):
+        rig.reopen()
 
 
 def answer_once(rig: DirectStage, request: bytes, answer: bytes) -> None:

@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+import time
 from contextlib import suppress
 
 import pytest
@@ -123,3 +124,12 @@ def test_a_refusal_says_what_was_asked(peer, connect):
     peer.do_monitor = lambda number, _: peer.refuse(number, "broken", "The sensor is off.")
     with pytest.raises(DeviceRefused, match='refused "monitor": The sensor is off'):
         connect().temperature_c()
+
+
+def test_a_camera_that_never_answers_is_given_up_within_seconds():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        address = f"127.0.0.1:{listener.getsockname()[1]}"
+        began = time.monotonic()
+        with pytest.raises(ReplyTimeout):
+            SimulatedEvk4Camera.open(address, clock=SystemClock(), utc_now=lambda: NOW)
+    assert time.monotonic() - began < 40.0  # a busy computer stretches it by 30 s at most

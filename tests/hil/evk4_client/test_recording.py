@@ -45,6 +45,11 @@ def test_a_fault_that_the_camera_reports_fails_the_recording(peer, connect, tmp_
         connect().record(tmp_path / "pose.raw", 1.0)
 
 
+def test_other_notifications_are_let_pass(peer, connect, tmp_path):
+    peer.before_frame[3] = lambda: peer.send(b"N", b'{"event": "warm"}')
+    assert connect().record(tmp_path / "pose.raw", 0.02).complete
+
+
 def test_malformed_words_fail_the_recording_and_are_kept(peer, connect, tmp_path):
     peer.before_frame[3] = lambda: peer.send(b"D", b"\x00\x90")
     path = tmp_path / "pose.raw"
@@ -68,6 +73,15 @@ def test_a_camera_that_computes_is_waited_for(peer, connect, tmp_path):
     peer.before_frame[2] = lambda: clock.let_pass(500, peer)
     assert camera.record(tmp_path / "pose.raw", 0.02).complete
     assert clock.now == 500
+
+
+def test_a_camera_that_computes_is_not_waited_for_for_ever(peer, connect, tmp_path, monkeypatch):
+    monkeypatch.setattr("drivers.camera.simulated_evk4.STOP_S", 0.1)
+    clock = SteppedClock()
+    camera = connect(clock=clock)
+    peer.before_frame[2] = lambda: clock.let_pass(700, peer, patience_s=2.0)
+    with pytest.raises(CameraLost, match="600 s"):
+        camera.record(tmp_path / "pose.raw", 1.0)
 
 
 def test_a_deaf_camera_does_not_hold_up_the_way_out(peer, connect, tmp_path, monkeypatch):

@@ -65,6 +65,47 @@ def test_what_is_no_identity_is_named_and_no_cable_is_blamed(answer) -> None:
 # ---------------------------------------------------------------- what surrounds an answer
 
 
+PROMPTED = {
+    "a prompt after each answer": lambda sent, reply: reply.replace(b"\n", b"\r\n> "),
+    "a prompt with a name": lambda sent, reply: reply.replace(b"\n", b"\r\n33500B> "),
+    "a prompt before each answer": lambda sent, reply: re.sub(rb"(?m)^(?=.)", b"SCPI> ", reply),
+    "two line ends": lambda sent, reply: reply.replace(b"\n", b"\r\n\r\n"),
+    "line ends the other way round": lambda sent, reply: reply.replace(b"\n", b"\n\r"),
+    "CR alone": lambda sent, reply: reply.replace(b"\n", b"\r"),
+    "an empty line first": lambda sent, reply: b"\r\n" + reply if reply else reply,
+    "an echo": lambda sent, reply: sent.replace(b"\n", b"\r\n") + reply,
+    "echo and prompt": lambda sent, reply: sent.replace(b"\n", b"\r\n") + reply + b"33500B> ",
+    "blanks around": lambda sent, reply: b"  " + reply.replace(b"\n", b"  \n") if reply else reply,
+    "quotation marks": lambda sent, reply: reply.replace(b"SQU", b'"SQU"'),
+    "the channel before": lambda sent, reply: reply.replace(b"SQU", b"CH1:SQU").replace(b"+6.", b"CH1:+6."),
+}
+
+
+NOT_SIGLENT = {"quotation marks", "the channel before"}
+
+
+@pytest.mark.parametrize(
+    ("form", "dialect"),
+    [
+        (form, dialect)
+        for form in PROMPTED
+        for dialect in ("keysight", "numbered", "siglent")
+        if dialect != "siglent" or form not in NOT_SIGLENT
+    ],
+)
+def test_an_answer_is_read_among(form, dialect) -> None:
+    bench = Bench(dialect)
+    receive = bench.line.device.receive
+    bench.line.device.receive = lambda data: PROMPTED[form](data, receive(data))
+    light = bench.open()
+    assert light.apply(FLICKER) == FLICKER
+    light.on()
+    assert bench.lit()
+    assert light.faults() == []
+    light.off()
+    assert not bench.lit()
+
+
 @pytest.mark.parametrize("empty", ['0,"No error"', "0", "+0", "0 No error", "0, No error", '+0 , "No error"'])
 def test_an_empty_error_queue_is_known_in_another_form(empty) -> None:
     bench = Bench()
@@ -112,6 +153,14 @@ def test_what_is_no_number_of_that_unit_is_none(text) -> None:
 def test_any_text_is_a_finite_number_or_none(text, unit) -> None:
     quantity = read_quantity(text, unit)
     assert quantity is None or (abs(quantity.value) < float("inf") and quantity.half_digit >= 0)
+
+
+@given(st.floats(1e-3, 1e8), st.integers(4, 12))
+def test_a_number_printed_with_at_least_four_digits_agrees_with_itself(value, digits) -> None:
+    quantity = read_quantity(f"{value:.{digits}g} Hz", "Hz")
+    assert quantity is not None
+    assert quantity.agrees_with(value)
+    assert not quantity.agrees_with(value * 1.01)
 
 
 @pytest.mark.parametrize("digits", [6, 5, 4])

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import re
+import socket
 import struct
 from collections.abc import Callable
 
 import pytest
 
-from drivers.errors import DeviceRefused, DriverError, PortLost, ReplyTimeout
+from drivers.errors import DeviceRefused, DriverError, PortLost, ReplyGarbled, ReplyTimeout
+from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
-from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController
+from drivers.serial_port import SerialPort
+from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController, size
+from drivers.stage.zaber import ZaberStage
 from tests.hil.direct_stages import VirtualClock
+from tests.unit.drivers.light.generator_bench import Bench as GeneratorBench
 from tests.unit.drivers.stage.grbl_bench import Bench as GrblBench
 from tests.unit.drivers.stage.zaber_bench import Bench as ZaberBench
+from tests.unit.drivers.stage.zaber_bench import axes
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -76,6 +82,12 @@ def test_two_zaber_devices_with_one_address_are_told() -> None:
     assert "renumber" in caught.value.remedy
 
 
+def test_a_silent_zaber_device_may_have_the_binary_protocol() -> None:
+    clock = VirtualClock()
+    with pytest.raises(ReplyTimeout, match="binary protocol"):
+        ZaberStage(OtherDevice(clock, lambda _data: b""), axes(), clock=clock)
+
+
 def test_a_thorlabs_controller_with_bays_is_told_by_name() -> None:
     """The report of pyLabLib, issue 49: an HDR50 at a BSC201, whose answers come from the address 0x11."""
     clock = VirtualClock()
@@ -85,6 +97,12 @@ def test_a_thorlabs_controller_with_bays_is_told_by_name() -> None:
     with pytest.raises(DeviceRefused, match="a controller with bays answers") as caught:
         ThorlabsController(port, clock=clock)
     assert "BSC20x" in caught.value.remedy
+
+
+def test_a_garbled_address_of_thorlabs_is_no_other_controller() -> None:
+    for source in (0x11, 0x21, 0x2A):
+        with pytest.raises(ReplyGarbled):
+            size(struct.pack("<HHBB", 0x042A, 14, 0x81, source), "pan")
 
 
 def test_a_pendant_that_has_the_control_is_named_and_no_cable_is_doubted() -> None:
@@ -97,6 +115,25 @@ def test_a_pendant_that_has_the_control_is_named_and_no_cable_is_doubted() -> No
         bench.open()
     assert "pendant" in caught.value.remedy
     assert "cable" not in caught.value.remedy
+
+
+def test_a_pendant_that_has_given_the_control_back_is_no_cause() -> None:
+    """grblHAL tells both changes: issue 218 of ioSender."""
+    clock = VirtualClock()
+    port = OtherDevice(clock, lambda _data: b"")
+    port.ready = b"<Idle|MPos:0.000|MPG:1>\r\n<Idle|MPos:0.000|MPG:0>\r\n"
+    with pytest.raises(ReplyTimeout) as caught:
+        ScpiLight(port, clock=clock)
+    assert "pendant" not in str(caught.value)
+
+
+def test_a_banner_of_a_device_server_is_no_answer_and_no_fault() -> None:
+    """Of ser2net's issue 133: it comes as soon as the port is open."""
+    bench = GeneratorBench()
+    bench.line.ready = (
+        b"ser2net port telnet(rfc2217),tcp,5001 device serialdev,/dev/ttyDUT1,115200n81\r\n\r\n"
+    )
+    assert bench.open().identify().serial == "SG0042"
 
 
 SAID = {
@@ -142,3 +179,29 @@ def test_power_is_doubted_only_where_nothing_came_and_another_program_on_a_netwo
         ScpiLight(port, clock=clock)
     assert words in caught.value.remedy
     assert ("switched on" in caught.value.remedy) == (not answer)
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [(b"", "no other one is connected"), (b"Port already in use\r\n", "End the other program")],
+)
+def test_a_connection_that_is_closed_at_once_is_that_of_another_program(said, words) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = SerialPort(f"socket://127.0.0.1:{server.getsockname()[1]}", baudrate=9600)
+        line, _ = server.accept()
+        line.sendall(said)
+        line.close()
+        with pytest.raises(PortLost) as caught:
+            ZaberStage(port, axes(), clock=VirtualClock())
+    assert words in caught.value.remedy
+
+
+def test_a_generator_that_knows_no_such_query_is_not_told_to_be_without_power() -> None:
+    """An instrument of another make answers ``*IDN?``, is silent to what it does not know, and has no queue."""
+    clock = VirtualClock()
+    identity = b"UNI-T Technologies,UTG962E,AWG1234567,1.08\n"
+    port = OtherDevice(clock, answers_lines(lambda line: identity if line == b"*IDN?" else b""))
+    light = ScpiLight(port, dialect="numbered", clock=clock)
+    with pytest.raises(ReplyTimeout, match=r"the request b'SOUR1:VOLT:LOW\?.* has none") as caught:
+        light.apply(LightSettings())
+    assert "The line works" in caught.value.remedy

@@ -5,7 +5,7 @@ import pytest
 from drivers import lateness
 from drivers.clock import SystemClock
 from drivers.errors import ReplyTimeout
-from drivers.lateness import Deadline, Lateness, follow_clock, follow_no_clock
+from drivers.lateness import PERIOD_S, Deadline, Lateness, follow_clock, follow_no_clock
 from drivers.link import TRIES, TRIES_WHEN_LATE, repeat
 from tests.unit.drivers.conftest import CountedLink
 
@@ -118,6 +118,13 @@ def test_a_time_out_on_a_busy_computer_says_so(monkeypatch):
     assert error.late_s > 0
 
 
+def test_a_time_out_on_an_idle_computer_names_the_line(monkeypatch):
+    monkeypatch.setattr(lateness, "own_lateness", lambda: Lateness(Time()))
+    error = _ask_silent_port()
+    assert "baud rate" in error.remedy
+    assert error.late_s == 0.0
+
+
 @pytest.mark.parametrize(
     ("tries", "late_s", "asked"),
     [(TRIES, 0.0, TRIES), (TRIES, 2.0, TRIES + TRIES_WHEN_LATE), (1, 2.0, 1)],
@@ -132,3 +139,22 @@ def test_what_is_repeated_is_repeated_more_often_when_late_but_a_motion_never(tr
     with pytest.raises(ReplyTimeout):
         repeat(ask, tries=tries)
     assert len(calls) == asked
+
+
+def test_a_makers_software_that_holds_the_interpreter_is_no_busy_computer():
+    """Opening a camera of 2.6 s was told as "this computer is too busy"."""
+    times = iter([0.0, 0.1, 2.7, 2.75, 3.0])
+    measured = Lateness(lambda: next(times))
+    with measured.interpreter_held():
+        measured.woken()  # 0.1 s
+        assert measured.lost_s() == 0.0
+    measured.woken()  # 2.75 s, due 2.72
+    assert measured.longest_s == pytest.approx(0.03)
+    assert measured.lost_s() == pytest.approx(0.03 + 0.23)
+
+
+def test_a_sleep_is_told_before_the_thread_that_measures_it_has_run():
+    clock = [0.0]
+    lateness = Lateness(lambda: clock[0])
+    clock[0] = 14.0 + PERIOD_S
+    assert lateness.summary()["longest_s"] == pytest.approx(14.0)

@@ -102,6 +102,14 @@ def test_any_byte_can_be_read_back(tmp_path) -> None:
     assert (entry["t"], entry["port"], entry["dir"]) == (1.25, "port", ">")
 
 
+def test_an_existing_log_is_continued(tmp_path) -> None:
+    for number in range(2):
+        log = WireLogFile(tmp_path / "wire.jsonl")
+        log.record(float(number), "port", "<", b"x")
+        log.close()
+    assert [entry["t"] for entry in entries(log.path)] == [0.0, 1.0]
+
+
 def test_the_log_is_bounded_and_keeps_the_latest(tmp_path) -> None:
     log = WireLogFile(tmp_path / "wire.jsonl", max_bytes=500, kept=2)
     for number in range(100):
@@ -112,6 +120,14 @@ def test_the_log_is_bounded_and_keeps_the_latest(tmp_path) -> None:
     assert all(file.stat().st_size <= 500 for file in files)
     kept = [entry["t"] for file in reversed(files) for entry in entries(file)]
     assert kept == [float(number) for number in range(100 - len(kept), 100)]
+
+
+def test_a_log_that_cannot_be_written_says_so_and_disturbs_nothing(tmp_path) -> None:
+    log = WireLogFile(tmp_path / "missing" / "wire.jsonl")
+    log.record(0.0, "port", ">", b"stop\n")
+    log.record(0.0, "port", ">", b"stop\n")
+    assert log.fault is not None
+    assert log.fault.why == "No such file or directory"
 
 
 class FullDisk(io.FileIO):
@@ -208,6 +224,13 @@ def test_a_stop_ends_within_its_deadlines_on_a_line_without_end(clock, says, mon
     assert len(ended) == 1
     assert [data[:8] for data in port.sent].count(b"/0 0 00 ") == 1
     assert len(port.sent) == 3  # tries
+
+
+def test_a_device_that_never_falls_silent_ends_the_draining(clock) -> None:
+    link = CountedLink(Babbler(b"x"), clock)
+    link.longest_drain_s = 0.01
+    with pytest.raises(ReplyGarbled, match="sends without pause"):
+        link.drain()
 
 
 def test_a_line_too_long_is_thrown_away_with_its_refusal(scripted, clock) -> None:

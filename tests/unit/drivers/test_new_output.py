@@ -1,11 +1,12 @@
 """A new file or folder has one writer, and appears whole or not at all, whatever ended the one before."""
 
 import os
+from pathlib import Path
 
 import pytest
 
 from drivers import new_output as module
-from drivers.new_output import discard_unfinished, is_free, new_output
+from drivers.new_output import discard_unfinished, is_free, new_output, unfinished
 
 
 @pytest.fixture(params=["file", "folder"])
@@ -97,4 +98,24 @@ def test_a_name_that_cannot_be_made_durable_is_taken_back(tmp_path, monkeypatch,
         write(part, "first")
         monkeypatch.setattr(module, "sync_folder", fail)
         monkeypatch.setattr(module, "sync_file", lambda _path: None)
+    assert names(tmp_path) == []
+
+
+def test_an_empty_folder_is_filled_and_that_of_the_process_itself_is_not(tmp_path, monkeypatch):
+    (tmp_path / "out").mkdir()
+    with new_output(tmp_path / "out") as part:
+        part.mkdir()
+        (part / "inside").touch()
+    assert names(tmp_path / "out") == ["inside"]
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert not is_free(Path.cwd())
+
+
+def test_what_a_killed_process_left_is_discarded(tmp_path, monkeypatch, write):
+    path = tmp_path / "out"
+    end_as_if_killed_at(monkeypatch, ("before", "_give_name"), path, write, "first")
+    assert unfinished(path).exists()
+    discard_unfinished(path)
+    discard_unfinished(tmp_path / "none" / "out")
     assert names(tmp_path) == []

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
+import time
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import serial
@@ -13,11 +16,12 @@ import yaml
 from pydantic import TypeAdapter
 
 from bench.stations.stages_and_lights import StageConfig
-from drivers import serial_port
+from drivers import file_lock, serial_port
 from drivers.camera import FoundCamera, discovery, metavision_discovery, neuromorphic_evk4
 from drivers.camera.discovery import find_cameras
-from drivers.camera.frame_cameras import video_devices
+from drivers.camera.frame_cameras import usb_serial, video_devices
 from drivers.camera.usb_permission import (
+    connected_cameras,
     only_camera_kind,
     only_camera_mbit_s,
     slow_cameras,
@@ -139,6 +143,22 @@ def test_a_device_that_holds_the_line_is_told_and_gets_nothing_later(
     port.close()
 
 
+def test_a_computer_that_slept_while_it_sent_has_lost_no_port(terminal, monkeypatch) -> None:
+    send, now = serial.Serial.write, time.monotonic
+
+    def sleep_in_between(self: serial.Serial, data: bytes) -> int:
+        send(self, data)
+        monkeypatch.setattr(time, "monotonic", lambda: now() + 14.0)
+        raise serial.SerialTimeoutException("Write timeout")
+
+    port = SerialPort(terminal, baudrate=19_200)
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(serial.Serial, "write", sleep_in_between)
+        port.write(b"1PA5\r")
+    port.write(b"1TS\r")
+    port.close()
+
+
 @pytest.mark.parametrize("error", [ValueError("Failed to set custom baud rate (7)"), NotImplementedError()])
 def test_a_baud_rate_that_the_port_cannot_do_is_a_port_error_and_leaves_it_closed(
     terminal, monkeypatch, error
@@ -152,6 +172,43 @@ def test_a_baud_rate_that_the_port_cannot_do_is_a_port_error_and_leaves_it_close
             SerialPort(terminal, baudrate=123_457)
     assert "baud rate" in caught.value.remedy
     SerialPort(terminal, baudrate=9600).close()  # nobody holds it
+
+
+def test_a_folder_that_knows_no_locks_is_not_called_busy(tmp_path, monkeypatch) -> None:
+    def unlockable(descriptor: int, **_how: bool) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(file_lock, "lock", unlockable)
+    with pytest.raises(PortDenied, match="No locks available") as caught:
+        DeviceHold("stage 1", folder=tmp_path)
+    assert "STARBENCH_LOCKS" in caught.value.remedy
+
+
+def _another_users_folder(tmp_path) -> Path:
+    folder = tmp_path / "of another user"
+    folder.mkdir()
+    folder.chmod(0o700)
+    return folder
+
+
+def test_a_link_in_the_place_of_the_locks_opens_nobody_s_folder(tmp_path, monkeypatch) -> None:
+    """Another user may plant a link, or a folder, under any name in a shared folder, before the first use."""
+    monkeypatch.delenv(file_lock.FOLDER_VARIABLE)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    victim = _another_users_folder(tmp_path)
+    planted = tmp_path / "planted"
+    planted.symlink_to(victim)
+    assert file_lock.locks_folder([planted, victim]) == tmp_path
+    DeviceHold("stage 1", folder=planted).release()
+    assert victim.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(
+    not Path("/tmp").is_dir() or Path("/tmp").stat().st_uid, reason="no folder is the system's"
+)
+def test_a_sticky_folder_of_the_system_is_shared_by_all_users(monkeypatch) -> None:
+    monkeypatch.delenv(file_lock.FOLDER_VARIABLE)
+    assert file_lock.locks_folder([Path("/nowhere"), Path("/etc"), Path("/tmp")]) == Path("/tmp")
 
 
 @pytest.mark.parametrize("planted", ["link", "hard link", "pipe"])
@@ -197,6 +254,10 @@ def plug(tmp_path, vendor="04b4", product="00f5", mode=0o666, speed="5000", port
     return tmp_path / "sys", tmp_path / "dev"
 
 
+def test_a_camera_that_may_be_used_is_no_fault(tmp_path):
+    assert unreadable_cameras(*plug(tmp_path)) == []
+
+
 def test_a_camera_that_this_user_may_not_open_is_named_with_what_to_do(tmp_path, monkeypatch):
     folders = plug(tmp_path, mode=0o600)
     monkeypatch.setattr(os, "access", lambda path, _how: not str(path).endswith("001/007"))
@@ -204,6 +265,21 @@ def test_a_camera_that_this_user_may_not_open_is_named_with_what_to_do(tmp_path,
     assert "Prophesee camera (EVK4) is connected, but this user may not use it" in message
     assert "001/007" in message
     assert "udev rules" in message
+
+
+def test_an_event_camera_of_another_maker_on_usb_2_is_named(tmp_path):
+    (message,) = slow_cameras(plug(tmp_path, vendor="31f7", product="0003", speed="480")[0])
+    assert "CenturyArks camera (SilkyEvCam HD)" in message
+    assert "480 Mbit/s (USB 2)" in message
+
+
+@pytest.mark.parametrize("vendor", ["1234", "", "zz"])
+def test_other_devices_are_not_looked_at(tmp_path, vendor):
+    assert unreadable_cameras(*plug(tmp_path, vendor=vendor, mode=0o000)) == []
+
+
+def test_a_system_without_this_list_has_no_fault(tmp_path):
+    assert unreadable_cameras(tmp_path / "none", tmp_path) == []
 
 
 @pytest.mark.parametrize(
@@ -217,6 +293,18 @@ def test_the_speed_of_the_only_camera_is_read(tmp_path, speed, read):
     if messages:
         assert f"connected at {read} Mbit/s (USB 2)" in messages[0]
         assert "USB 3 port" in messages[0]
+
+
+def test_of_two_cameras_the_speed_belongs_to_none(tmp_path):
+    plug(tmp_path)
+    devices, _ = plug(tmp_path, port="1-3", speed="480")
+    assert only_camera_mbit_s(devices) is None
+    assert len(slow_cameras(devices)) == 1
+
+
+def test_connected_cameras_are_counted_where_the_system_lists_them(tmp_path):
+    assert connected_cameras(plug(tmp_path)[0]) == ["Prophesee camera (EVK4)"]
+    assert connected_cameras(tmp_path / "none") is None
 
 
 @pytest.mark.parametrize(
@@ -282,3 +370,18 @@ def test_video_devices_are_listed_by_the_name_that_lasts_and_their_serial_number
             "opencv", "8A0A3C5F", f"video device {dev}/video1", source=f"{dev}/v4l/by-id/usb-Maker_Camera"
         ),
     ]
+
+
+def test_a_camera_that_gave_usb_no_serial_number_has_none(dev, system, tmp_path):
+    (tmp_path / "devices" / "usb1" / "1-2" / "serial").unlink()
+    assert usb_serial(dev / "video1", system) == ""
+
+
+def test_a_computer_without_video_devices_has_none(tmp_path):
+    assert video_devices(tmp_path, tmp_path) == []
+
+
+def test_a_file_that_is_no_terminal_is_named_without_words_of_a_library():
+    with pytest.raises(PortNotFound, match=r"/dev/null.*no serial port") as caught:
+        SerialPort("/dev/null", baudrate=115_200)
+    assert "ioctl" not in str(caught.value)

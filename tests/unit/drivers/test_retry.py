@@ -87,6 +87,24 @@ def test_a_line_that_cannot_be_brought_into_step_is_said_to_be_out_of_it(outcome
         bring_into_step(line, *[outcome] * RESYNCHRONISE_TRIES)
 
 
+def test_a_marker_without_answer_is_sent_again_and_then_an_error() -> None:
+    line = Line()
+    with pytest.raises(ReplyTimeout, match="second"):
+        bring_into_step(line, ReplyTimeout("first"), ReplyTimeout("second"))
+    assert line.events == ["drain", "marker"] * 2
+
+
+@pytest.mark.parametrize(
+    ("first", "markers"),
+    [(ReplyTimeout("late"), 1), (ReplyTimeout("late", late_s=2.0), 2), (ReplyGarbled("cut"), 2)],
+)
+def test_a_silent_line_is_not_asked_twice_where_the_caller_repeats(first, markers) -> None:
+    line = Line()
+    with pytest.raises(ReplyTimeout):
+        bring_into_step(line, first, ReplyTimeout("again"), once_if_silent=True)
+    assert line.events.count("marker") == markers
+
+
 def test_old_bytes_are_inspected_before_the_device_is_cleared() -> None:
     line = Line(b"ALARM:1\r\n")
     bring_into_step(

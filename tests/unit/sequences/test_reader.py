@@ -13,6 +13,7 @@ from sequences.errors import DocumentFaults
 from sequences.reader import check_document, find_document, read_document
 from sequences.schema import Sequence
 from sequences.strict_model import StrictModel
+from sequences.yaml_text import MOST_BYTES
 
 SHIPPED = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
 
@@ -149,6 +150,29 @@ def test_a_serial_number_that_looks_like_an_odd_number_stays_text():
     assert read.value.light.serial == "0074_1"
 
 
+def test_quotes_of_a_word_processor_do_not_become_a_part_of_a_serial_number():
+    assert faults("format: test/1\nlight: {kind: laser, serial: \u201e00051234\u201c}\n") == [
+        't.yaml:2:30: light.serial: typographic quotes (\u201e) would be a part of the text: write ".'
+    ]
+
+
+def test_an_unknown_key_is_compared_with_the_keys_of_its_own_kind_only():
+    assert faults("format: test/1\nlight: {kind: lamp, watts: 1, serail: x}\n") == [
+        "t.yaml:2:31: light.serail: unknown key. Known here: kind, watts."
+    ]
+
+
+def test_a_long_value_is_quoted_in_part():
+    (message,) = faults(f"format: test/1\nlight: {{kind: lamp, watts: {'9x' * 500}}}\n")
+    assert len(message) < 150
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "[a, b]\n", "word\n"])
+def test_what_is_no_mapping_is_one_fault(text):
+    (message,) = faults(text)
+    assert message.startswith("t.yaml:1:1: the document must be a mapping")
+
+
 def test_a_file_of_another_program_is_one_fault_and_a_forgotten_format_hides_no_other():
     (message,) = faults("cam0:\n  camera_model: pinhole\nrostopic: /events\n", Sequence)
     assert message.startswith(
@@ -156,6 +180,19 @@ def test_a_file_of_another_program_is_one_fault_and_a_forgotten_format_hides_no_
     )
     both = faults("name: x\nstep: [light]\nposes: {}\n", Sequence)
     assert [each.partition(": ")[2].partition(":")[0] for each in both] == ["format", "steps", "step"]
+
+
+def test_a_document_of_another_kind_is_one_fault_not_one_a_line():
+    (message,) = faults("format: starbench/station/1\nname: x\nstage: {}\n", Sequence)
+    assert message.startswith("t.yaml:1:9: format: wrong kind of document")
+    assert message.endswith(
+        "a sequence is needed here, and this is a station file. Name a station file with --station."
+    )
+
+
+def test_a_document_of_an_unknown_version_is_named_by_its_format():
+    (message,) = faults("format: starbench/sequence/9\nname: x\n", Sequence)
+    assert message.endswith("'starbench/sequence/1' is needed here (got 'starbench/sequence/9').")
 
 
 def test_a_document_cut_off_by_a_syntax_error_is_not_blamed_for_what_was_not_reached():
@@ -175,6 +212,16 @@ def test_a_file_that_is_not_there_is_a_folder_or_cannot_be_read_is_one_fault(tmp
     assert fault_of(tmp_path / "pipe") == f"{tmp_path}/pipe: this is not a regular file."
     assert "cannot be read" in fault_of(tmp_path / "a\0b")
     assert "cannot be read" in fault_of(tmp_path / ("x" * 300))
+
+
+def test_a_file_one_byte_too_large_is_refused_not_cut(tmp_path):
+    large = tmp_path / "large.yaml"
+    text = b"format: test/1\nlight: {kind: lamp, watts: 1}\n#"
+    large.write_bytes(text.ljust(MOST_BYTES, b"x"))
+    assert read_document(large, Table).value.light.watts == 1
+    large.write_bytes(text.ljust(MOST_BYTES + 1, b"x"))
+    with pytest.raises(DocumentFaults, match="larger than 1000000 bytes"):
+        read_document(large, Table)
 
 
 def test_a_file_without_permission_is_one_fault(tmp_path, monkeypatch):

@@ -22,6 +22,17 @@ def test_scalars_that_yaml_would_turn_into_something_else_stay_text(scalar):
     assert parse(f"a: {scalar}\n".encode(), "f").value == {"a": scalar}
 
 
+@pytest.mark.parametrize(
+    ("written", "value"), [("", None), ("~", None), ("null", None), ("'null'", "null"), ('""', "")]
+)
+def test_only_plain_emptiness_means_nothing(written, value):
+    assert parse(f"a: {written}\n".encode(), "f").value == {"a": value}
+
+
+def test_keys_that_yaml_would_turn_into_truths_stay_text():
+    assert parse(b"on: 1\nno: 2\n3: 4\n", "f").value == {"on": "1", "no": "2", "3": "4"}
+
+
 def test_every_value_and_key_has_its_place():
     tree = parse(b"a:\n  - x\n  - {b: yy}\n", "f")
     assert tree.values[("a", 1, "b")] == Spot(3, 9)
@@ -101,6 +112,17 @@ def test_all_faults_of_a_readable_document_come_at_once_and_the_rest_is_kept():
     assert len(tree.faults) == 3
     assert tree.complete
     assert tree.value == {"a": "1", "b": "3", "c": "4", "d": "5"}
+
+
+def test_what_stands_under_a_refused_key_is_dropped_with_it():
+    tree = parse(b"a: 1\na: {b: [2, {c: 3, c: 4}]}\nd: 4\n", "f")
+    assert tree.value == {"a": "1", "d": "4"}
+    assert set(tree.values) == {(), ("a",), ("d",)}
+    assert set(tree.keys) == {("a",), ("d",)}
+
+
+def test_a_broken_document_says_it_was_not_read_to_its_end():
+    assert not parse(b"a: 1\nb: [\n", "f").complete
 
 
 @pytest.mark.parametrize("opening", ["[", "- ", "{a: ", "? ", "[{"])

@@ -15,6 +15,7 @@ from simulators.optics.collimator_errors import (
     reticle_point,
 )
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
+from simulators.world.truth_config import truth_from_config
 
 COEFFICIENT = st.floats(-0.3, 0.3)
 TURN = optics.pose_rotation({"pan": 6.0, "tilt": -4.0, "roll": 15.0}, OpticsTruth())
@@ -61,6 +62,16 @@ def test_the_reticle_point_seen_somewhere_appears_there(reticle, x, y):
     assert np.hypot(*(p - [x, y])) > 1e-4
 
 
+def test_the_disc_walks_with_the_turn_of_the_camera():
+    collimator = CollimatorTruth(disc_walk=(40.0, -10.0), disc_y=3.0)
+    still, turned = disc_of(collimator, np.eye(3)), disc_of(collimator, TURN)
+    assert (still.x, still.y) == (collimator.x, collimator.y + 3.0)
+    axis = TURN.T @ [0.0, 0.0, 1.0]
+    assert turned.x - still.x == pytest.approx(40.0 * axis[0] / axis[2])
+    assert turned.y - still.y == pytest.approx(-10.0 * axis[1] / axis[2])
+    assert turned.radius == still.radius
+
+
 def test_the_disc_wanders_and_breathes_by_its_sigmas_and_alike_in_like_poses():
     collimator = CollimatorTruth(disc_wander_mm=5.0, disc_breathing=0.1)
     poses = np.random.default_rng(1).uniform(-25.0, 25.0, (600, 2))
@@ -75,6 +86,15 @@ def test_the_disc_wanders_and_breathes_by_its_sigmas_and_alike_in_like_poses():
     near, there = (disc_of(collimator, optics.pose_rotation({"pan": p}, OpticsTruth())) for p in (3.0, 3.2))
     assert np.hypot(near.x - there.x, near.y - there.y) < 1.5
     assert near[:3] != there[:3]
+
+
+def test_points_roll_outwards_with_the_fourth_power():
+    collimator = CollimatorTruth(rim_roll_mm=0.2)
+    aberrations = aberrations_of(collimator, np.eye(3))
+    radius = disc_of(collimator, np.eye(3)).radius
+    points = np.array([[collimator.x + share * radius, collimator.y] for share in (0.0, 0.5, 1.0)])
+    moved = apparent_points(points, aberrations) - points
+    np.testing.assert_allclose(moved, [[0.0, 0.0], [0.2 / 16, 0.0], [0.2, 0.0]], atol=1e-12)
 
 
 def test_picture_and_star_positions_agree_through_a_real_collimator():
@@ -100,3 +120,15 @@ def test_picture_and_star_positions_agree_through_a_real_collimator():
 
     assert disagreement(optics.project(points, TURN, truth)) < 0.015
     assert disagreement(optics.project(points, TURN, replace(truth, collimator=CollimatorTruth()))) > 0.1
+
+
+def test_stray_light_lifts_every_pixel():
+    camera = CameraTruth(fx=330.0, fy=331.0, cx=64.0, cy=36.0, width=128, height=72)
+    without, lifted = (optics.render(Truth(camera, optics=OpticsTruth(stray=s)), TURN) for s in (0.0, 0.05))
+    np.testing.assert_allclose(lifted - without, 0.05, atol=1e-6)
+
+
+def test_a_profile_is_named_alone_or_beside_what_differs_from_it():
+    assert truth_from_config({"collimator": "like-real"}).collimator == COLLIMATORS["like-real"]
+    mixed = truth_from_config({"collimator": {"profile": "like-real", "r": 700}}).collimator
+    assert mixed == replace(COLLIMATORS["like-real"], r=700.0)

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+from apparent import apparent_points
 
 from simulators.optics.collimator_errors import disc_of, radius_fraction
-from simulators.optics.picture import true_rotation
+from simulators.optics.picture import projection_of, true_rotation
 from simulators.world.truth import COLLIMATORS, CollimatorTruth, Truth
 
 POSES = [{"pan": pan, "tilt": tilt} for pan in (-6.0, 0.0, 6.0) for tilt in (-4.0, 0.0, 4.0)]
@@ -26,6 +27,20 @@ def test_the_edge_of_a_bench_is_the_same_in_every_pose_and_moves_against_the_pup
         # 2 mm in front of the pivot, the pupil moves by 2 mm per unit tangent; wander adds .05 mm rms in each pose
         np.testing.assert_allclose(np.subtract(disc[:2], first[:2]), -2.0 * tangents, atol=0.4)
     assert np.std(first.edge) > 0.0
+
+
+def test_the_random_displacements_of_a_bench_belong_to_the_reticle_and_not_to_the_pose():
+    glass = replace(COLLIMATORS["like-bench"], disc_walk=(0.0, 0.0), disc_wander_mm=0.0, irregularity_mm=0.05)
+    points = np.random.default_rng(2).uniform([60.0, 100.0], [140.0, 180.0], (50, 2))
+
+    def seen(collimator, pose):
+        truth = Truth(collimator=collimator)
+        return apparent_points(points, projection_of(truth, true_rotation(pose, truth)).aberrations)
+
+    here, there = (seen(glass, pose) for pose in (POSES[0], POSES[-1]))
+    np.testing.assert_array_equal(here, there)
+    here, there = (seen(replace(glass, glass_change=1.0), pose) for pose in (POSES[0], POSES[-1]))
+    assert np.abs(here - there).max() > 0.01
 
 
 def test_glass_change_sets_how_far_one_must_turn_to_see_other_glass():

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from inner_loops import from_python
 
+from calib.target import StarTarget
 from simulators.optics.drawing import add_edge as inner_add_edge
 from simulators.optics.drawing import empty_picture, join_cells, spread_kernel
+from simulators.optics.outlines import black_polygons
 from simulators.pixels import pixel_reset
 from simulators.pixels import pixel_reset as tail
 from simulators.pixels.pixel_noise import reset_error as inner_reset_error
@@ -53,6 +55,12 @@ def test_every_cell_gets_its_share_of_a_triangle(ring):
     np.testing.assert_allclose(areas(ring), np.array(expected), atol=2e-5)
 
 
+def test_edges_on_the_borders_of_cells_lose_nothing():
+    expected = np.zeros((6, 9))
+    expected[1:4, 2:5] = 1.0
+    np.testing.assert_array_equal(areas([(2, 1), (5, 1), (5, 4), (2, 4)]), expected)
+
+
 @pytest.mark.parametrize("cells", [2, 5])
 @pytest.mark.parametrize("sigma_px", [0.0, 0.5, 0.7, 3.0])
 def test_the_point_spread_is_as_wide_as_said(sigma_px, cells):
@@ -81,6 +89,23 @@ def test_an_edge_through_the_point_spread_is_an_error_function_wherever_it_stand
         ]
         worst = max(worst, np.abs(row - expected).max())
     assert worst < bound
+
+
+@pytest.mark.parametrize(
+    "target", [StarTarget(), StarTarget(17, 24, 5.0, 12, tag_square=(6, 9)), StarTarget(segments=4)]
+)
+def test_the_outline_is_black_where_the_print_is(target):
+    polygons = black_polygons(target)
+    rng = np.random.default_rng(3)
+    low, high = np.array(target.tag_centre_mm) - 20.0, np.array(target.tag_centre_mm) + 20.0
+    points = rng.uniform(low, high, (20_000, 2))
+    edges = np.roll(polygons, -1, axis=1) - polygons
+    near = np.abs(polygons.mean(axis=1) - target.tag_centre_mm).max(axis=1) < 25.0
+    covered = np.zeros(len(points), int)
+    for corners, along in zip(polygons[near], edges[near], strict=True):
+        from_corner = points[:, None] - corners
+        covered += (along[:, 0] * from_corner[..., 1] - along[:, 1] * from_corner[..., 0] >= 0.0).all(axis=1)
+    np.testing.assert_array_equal(covered, 1 - target.reflectance(*points.T))
 
 
 # ---------------------------------------------------------------- tails of squares

@@ -90,6 +90,22 @@ def test_time_goes_on_through_silence_and_starts_with_high_and_low():
     assert [int(words[i]) & 0xFFF for i in lows] == [t & 0xFFF for t in range(0, 10_000, 2000)]
 
 
+def test_trigger_edges_keep_their_time_and_value():
+    edges = np.array([0, 16, 17, 2000, 5999])
+    values = np.array([1, 0, 1, 0, 1], np.uint8)
+    words = Evt3Writer().write(*random_stream(1, 30), until_us=6000, trigger_t=edges, trigger_value=values)
+    assert read(words)[1] == [(int(t), int(v), 0) for t, v in zip(edges, values, strict=True)]
+
+
+@pytest.mark.parametrize(("width", "words_of_kinds"), [(1280, [0, 1, 80, 40]), (40, [8, 1, 2, 1])])
+def test_dense_rows_are_sent_as_vectors_which_never_reach_beyond_the_sensor(width, words_of_kinds):
+    row = np.full(width, 50), np.arange(width), np.full(width, 7), np.ones(width)
+    stream = [a.astype(d) for a, d in zip(row, (np.int64, np.uint16, np.uint16, np.uint8), strict=True)]
+    words = Evt3Writer(width=width, height=20).write(*stream, until_us=64)
+    assert np.bincount(words >> 12, minlength=16)[0x2:0x6].tolist() == words_of_kinds
+    assert read(words)[0] == as_tuples(stream)
+
+
 @pytest.mark.parametrize(("t", "x", "y"), [(-1, 0, 0), (100, 0, 0), (5, 1280, 0), (5, 0, 720)])
 def test_events_outside_the_slice_or_the_sensor_are_refused(t, x, y):
     event = np.array([t]), np.array([x], np.uint16), np.array([y], np.uint16), np.array([1], np.uint8)

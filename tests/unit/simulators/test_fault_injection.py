@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -119,6 +120,25 @@ def test_a_fault_of_an_axis_affects_that_axis_alone(bench: Bench, fault, after_a
     assert "OK IDLE --" in bench.say("/2 1")
     bench.order("pan mend")
     assert after_mending in bench.say("/1 1")
+
+
+def test_a_mended_axis_has_no_faults_to_come(bench: Bench):
+    for fault in ("stop_short", "idle_flicker times=100"):
+        bench.order(f"pan {fault}")
+    bench.order("pan mend")
+    bench.parts.lines["gimbal"].receive(b"/1 1 move abs 6400\n")
+    assert b"BUSY" in bench.parts.lines["gimbal"].receive(b"/1 1\n")
+    assert re.search(r" 6400(:|\s)", bench.say("/1 1 get pos"))
+
+
+def test_mending_the_light_mends_lamp_and_line(bench: Bench):
+    bench.parts.lines["light"].receive(b"OUTP ON\n")
+    bench.order("light lamp_open")
+    assert bench.shown[-1].high == 0.0
+    bench.order("light mend")
+    assert bench.shown[-1].high > 0.0
+    bench.order("light trip")
+    assert not bench.shown[-1].output
 
 
 def test_faults_of_the_camera_reach_it(bench: Bench):

@@ -97,6 +97,16 @@ def carried(line: SyncLine, first: int = 0, count: int = 60) -> list[tuple[int, 
     return list(zip(t.tolist(), value.tolist(), strict=True))
 
 
+def test_a_good_sync_cable_carries_two_edges_a_period_in_turn():
+    edges = carried(SyncLine())
+    assert edges[:3] == [(0, 1), (PERIOD // 2, 0), (PERIOD, 1)]
+    assert len(edges) == 120
+
+
+def test_a_swapped_sync_cable_carries_low_for_high():
+    assert [(t, 1 - value) for t, value in carried(SyncLine(inverted=True))] == carried(SyncLine())
+
+
 def test_lost_and_stray_pulses_come_in_pairs_at_their_periods():
     lost = set(carried(SyncLine())) - set(carried(SyncLine(missing_every=20)))
     assert {t // PERIOD for t, _ in lost} == {0, 20, 40}

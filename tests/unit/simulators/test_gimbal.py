@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from simulators.config import bench_config
 from simulators.optics.picture import true_rotation
 from simulators.world.gimbal import (
     AXES,
     NOISE_STEP_DEG,
+    Gears,
     GimbalTruth,
     drawn_errors,
     gimbal_rotation,
@@ -22,6 +24,7 @@ from simulators.world.truth import OpticsTruth, Truth
 
 ANGLE = st.floats(-180.0, 180.0)
 ANGLES = st.fixed_dictionaries(dict.fromkeys(AXES, ANGLE))
+LEVEL = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
 READINGS = np.arange(-180.0, 180.0, 0.5)
 
 
@@ -41,6 +44,14 @@ def test_without_errors_the_camera_points_where_the_axes_read(angles, mounting_d
     mounting = Rotation.from_rotvec(mounting_deg, degrees=True).as_matrix()
     truth = Truth(optics=OpticsTruth(mounting_deg=mounting_deg), gimbal=GimbalTruth(seed=7))
     np.testing.assert_allclose(true_rotation(angles, truth), about(angles) @ mounting, atol=1e-14)
+
+
+@given(ANGLES)
+def test_a_scale_error_turns_6_degrees_into_6_006(angles):
+    gimbal = GimbalTruth(scale=(0.001, 0.0, -0.002), seed=3)
+    assert true_angles_deg({"pan": 6.0, "roll": 50.0}, gimbal) == pytest.approx((6.006, 0.0, 49.9), abs=1e-12)
+    true = {"pan": 1.001 * angles["pan"], "tilt": angles["tilt"], "roll": 0.998 * angles["roll"]}
+    np.testing.assert_allclose(gimbal_rotation(angles, gimbal), about(true), atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
@@ -115,3 +126,52 @@ def test_the_camera_may_stand_crooked_on_its_head():
     head = Rotation.from_rotvec([0.5, -1.0, 3.0], degrees=True).as_matrix()
     angles = {"pan": 5.0, "tilt": -3.0, "roll": 0.0}
     np.testing.assert_allclose(gimbal_rotation(angles, crooked), head @ about(angles), atol=1e-14)
+
+
+def test_a_load_stands_half_the_play_behind_its_motor():
+    gears = Gears(GimbalTruth(backlash_deg=(0.03, 0.01, 0.0)))
+    assert gears.load_angles_deg({"pan": 0.0, "tilt": 0.0}) == {"pan": 0.0, "tilt": 0.0}
+    for _ in range(2):  # the second time, no axis moves
+        assert gears.load_angles_deg({"pan": 2.0, "tilt": -1.0}) == {"pan": 1.985, "tilt": -0.995}
+
+
+def test_one_section_of_the_configuration_holds_all_errors():
+    section = {
+        "wobble_deg": 0.005,
+        "eccentricity_deg": 0.01,
+        "scale": 1e-3,
+        "backlash_deg": {"tilt": 0.02},
+        "nonorthogonality_deg": -0.1,
+        "reading_sigma_deg": 0.002,
+        "camera_on_head_deg": [0.1, 0.2, 0.3],
+        "seed": 9,
+    }
+    truth = bench_config({"gimbal": section}).truth_for(4)
+    assert truth.gimbal == GimbalTruth(
+        0.005, 0.01, (1e-3, 1e-3, 1e-3), (0.0, 0.02, 0.0), -0.1, 0.002, (0.1, 0.2, 0.3), 9
+    )
+
+
+def test_backlash_stands_in_either_section_but_not_in_both():
+    own = bench_config({"stage": {"pan": {"backlash_deg": 0.03}, "tilt": {}}})
+    of_gimbal = bench_config({"stage": {"pan": {}, "tilt": {}}, "gimbal": {"backlash_deg": {"pan": 0.03}}})
+    for config in (own, of_gimbal):
+        assert [axis.backlash_deg for axis in config.axes.values()] == [0.03, 0.0]
+        assert config.truth_for(1).gimbal.backlash_deg == (0.03, 0.0, 0.0)
+    assert bench_config({"gimbal": {"backlash_deg": 0.01}}).truth_for(1).gimbal.backlash_deg == (
+        0.01,
+        0.01,
+        0.0,
+    )
+
+
+def test_the_truth_file_holds_what_is_needed_to_compute_the_errors():
+    gimbal = GimbalTruth(eccentricity_deg=0.02, wobble_deg=0.01, scale=(1e-3, 0.0, 0.0), seed=3)
+    written = Truth(gimbal=gimbal).to_dict()["gimbal"]
+    assert written["scale"] == {"pan": 1e-3, "tilt": 0.0, "roll": 0.0}
+    phase = math.radians(written["drawn"]["pan"]["phase_deg"])
+    by_hand = 1.001 * 6.0 + 0.02 * (math.sin(math.radians(6.0) + phase) - math.sin(phase))
+    assert true_angles_deg({"pan": 6.0}, gimbal)[0] == pytest.approx(by_hand, abs=1e-12)
+    wobble = written["drawn"]["tilt"]["wobble"][0]
+    assert wobble["first"] ** 2 + wobble["second"] ** 2 == pytest.approx(1.0)
+    assert "wobble" in written["law"]

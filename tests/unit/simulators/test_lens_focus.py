@@ -1,5 +1,6 @@
 """Focus, aperture and breathing of the lens, against rays traced through a thin lens by this test alone."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -16,11 +17,12 @@ from simulators.optics.lens_focus import (
     reach_px,
     ring_deg,
     spread_over_disc,
+    truth_record,
     with_ring_at,
 )
 from simulators.optics.picture import project, projection_of, true_rotation
 from simulators.optics.scene import picture
-from simulators.world.truth import CameraTruth, CollimatorTruth, MountTruth, OpticsTruth, Truth
+from simulators.world.truth import CameraTruth, CollimatorTruth, LensTruth, MountTruth, OpticsTruth, Truth
 
 PIXEL_MM = 4.86e-3
 SMALL = {"fx": 1672.0, "fy": 1672.0, "cx": 159.5, "cy": 119.5, "width": 320, "height": 240, "k1": 0, "k2": 0}
@@ -96,6 +98,15 @@ def test_the_ring_stands_where_it_was_turned_to(collimator, angle):
     assert ring_deg(turned) == pytest.approx(angle, abs=0.5 if angle < -9.0 else 1e-6)
 
 
+def test_focused_on_the_pattern_the_image_is_as_delivered():
+    for collimator, distance in (("ideal", "infinity"), ("like-bench", 0.255 / 0.066)):
+        delivered = bench_config({"camera": SMALL, "collimator": collimator}).truth
+        focused = replace(delivered, lens=bench_config({"lens": {"focus_distance_m": distance}}).truth.lens)
+        assert blur_px(focused) < 1e-9
+        assert camera_of(focused).fx == pytest.approx(delivered.camera.fx, rel=1e-12)
+        np.testing.assert_allclose(picture(focused, {}), picture(delivered, {}), atol=1e-6)
+
+
 def test_closing_the_aperture_sharpens_and_darkens():
     wide, small = truth_of(focus_distance_m=1.0), truth_of(focus_distance_m=1.0, f_number=5.6)
     assert blur_px(small) == pytest.approx(blur_px(wide) / 2)
@@ -103,6 +114,21 @@ def test_closing_the_aperture_sharpens_and_darkens():
     camera, pose = SMALL, {"pan": 0.5}
     light, dark = (bench_config({"camera": camera, "lens": {"f_number": n}}).truth for n in (2.8, 5.6))
     np.testing.assert_allclose(picture(dark, pose), picture(light, pose) / 4, rtol=1e-6)
+
+
+def test_every_word_for_infinity_means_the_same():
+    for word in ("infinity", "Infinity", ".inf", math.inf, -math.inf):
+        assert bench_config({"lens": {"focus_distance_m": word}}).truth.lens.focus_distance_m == math.inf
+    assert bench_config({"lens": {"focus_distance_m": "pattern"}}).truth.lens == LensTruth()
+
+
+def test_the_truth_file_has_strict_numbers():
+    for lens in ({}, {"focus_distance_m": "infinity"}, {"focus_distance_m": 1.0}):
+        record = truth_record(bench_config({"lens": lens}).truth)
+        lens_record = json.loads(json.dumps(record, allow_nan=False))["lens"]
+        assert lens_record["blur_px"] == pytest.approx(
+            19.74 if lens.get("focus_distance_m") == 1.0 else 0.0, abs=0.01
+        )
 
 
 def test_a_camera_turned_in_its_mount_sees_the_target_turned():

@@ -80,6 +80,11 @@ def test_an_unsolicited_message_is_sent_once():
     assert tried.line.unsolicited() == b""
 
 
+def test_messages_are_skipped_and_counted():
+    tried = Line(LineFault("lost", skip=1, count=2))
+    assert [tried.ask(b"a") for _ in range(4)] == [b"A", b"", b"", b"A"]
+
+
 def test_a_fault_by_chance_affects_a_share_and_the_same_messages_for_the_same_seed():
     def run() -> list[bytes]:
         tried = Line(LineFault("lost", count=None, chance=0.3), seed=7)

@@ -108,6 +108,18 @@ def test_a_bias_works_the_way_the_maker_says_over_all_of_its_range(bias, setting
     assert np.count_nonzero(steps) >= 35
 
 
+def test_a_slower_follower_delays_and_calms():
+    def first_on(fo):
+        setting = PixelSettings.from_biases({"bias_fo": fo})
+        noise = NOISE_LEVELS["none"]
+        events = simulate(np.ones((8, 32), np.float32), SQUARE, 10_000, noise=noise, settings=setting)
+        return np.median(events.t[events.p == 1]), setting.background_gain
+
+    assert first_on(-35)[0] > 5.0 * first_on(0)[0]
+    assert first_on(-35)[1] < 0.5 * first_on(0)[1]
+    assert first_on(20)[0] == first_on(0)[0]  # the photoreceptor's own pole is the slower one
+
+
 def test_dead_pixels_never_fire_and_stay_with_the_camera():
     noise = replace(NOISE_LEVELS["heavy"], dead_share=0.05)
 
@@ -135,3 +147,15 @@ def test_a_slow_link_stalls_the_readout_and_loses_events():
     assert none == 0.0
     assert stalled > 1000.0
     assert slow < 0.8 * fast
+
+
+def test_a_new_picture_fires_where_it_changed():
+    sensor = Sensor(64, 48, noise=NOISE_LEVELS["none"])
+    steady = LightState(low_v=5.0, high_v=5.0, output=True)
+    sensor.begin(np.full((48, 64), 0.2, np.float32), steady, 0.0)
+    assert len(sensor.run(2000).t) == 0
+    changed = np.full((48, 64), 0.2, np.float32)
+    changed[10, 20], changed[11, 21] = 0.9, 0.0
+    sensor.change(changed, steady, 0.0, 2000.0)
+    events = sensor.run(4000)
+    assert set(zip(events.x, events.y, events.p, strict=True)) == {(20, 10, 1), (21, 11, 0)}

@@ -40,6 +40,14 @@ def test_stars_scatter_about_their_true_places_with_the_configured_sigma():
     assert np.std(seen.points_px - points) == pytest.approx(0.1, rel=0.15)
 
 
+def test_the_camera_warms_up_and_follows_its_room():
+    rehearsed = world(room_c=20.0, room_c_per_h=-1.0, self_heating_c=10.0, warm_up_min=10.0)
+    assert rehearsed.temperature_c(0.0) == 20.0
+    assert rehearsed.temperature_c(600.0) == pytest.approx(20.0 - 1 / 6 + 10 * (1 - np.exp(-1)))
+    assert rehearsed.temperature_c(36_000.0) == pytest.approx(20.0, abs=1e-6)
+    assert world(self_heating_c=5.0, warm_up_min=0.0, room_c=20.0).temperature_c(0.0) == 25.0
+
+
 def true_stars(rehearsed, angles):
     truth = rehearsed.truth(50.0)
     return star_centres(truth, true_rotation(angles, truth), clearance=1.0, border_px=6.0)[1]
@@ -100,3 +108,8 @@ def test_an_invalid_value_is_refused_by_its_key(night, where):
     with pytest.raises(ConfigError) as error:
         world(**night)
     assert error.value.where == where
+
+
+def test_a_section_that_is_no_mapping_is_refused():
+    with pytest.raises(ConfigError, match="mapping"):
+        RehearsedWorld({"rehearsal": 3}, 1)

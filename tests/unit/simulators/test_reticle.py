@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.stars.detect import detect_stars
+from calib.target import StarTarget
 from simulators.optics.collimator_errors import (
     DEGREE,
     POWER,
@@ -21,6 +22,7 @@ from simulators.optics.collimator_errors import (
 )
 from simulators.optics.picture import (
     pose_rotation,
+    project,
     render,
     star_centres,
     true_rotation,
@@ -48,6 +50,14 @@ def test_a_bowed_reticle_moves_a_point_by_its_height_times_its_field_angle(
     height = bow_mm * (away_mm / bow_radius_mm) ** 2
     expected = height * (point - (c.x, c.y)) / c.r
     np.testing.assert_allclose(moved, expected, atol=1e-12)
+
+
+@given(scale=st.floats(-0.01, 0.01))
+def test_a_larger_print_is_a_collimator_with_a_smaller_radius(scale):
+    printed = replace(TRUTH, reticle=ReticleTruth(print_scale=scale))
+    nearer = replace(TRUTH, collimator=replace(TRUTH.collimator, r=255.0 / (1.0 + scale)))
+    points = np.random.default_rng(1).uniform([40.0, 80.0], [140.0, 180.0], (20, 2))
+    np.testing.assert_allclose(project(points, TURN, printed), project(points, TURN, nearer), atol=1e-8)
 
 
 @pytest.mark.parametrize("reticle", [ReticleTruth(bow_mm=2.0), ReticleTruth(print_scale=0.03)])
@@ -148,3 +158,13 @@ def test_every_star_of_a_target_of_its_own_is_found_with_its_id(family, tag, sid
     assert set(ids) <= set(detection.view.ids)
     of_found = detection.view.points_px[np.searchsorted(detection.view.ids, ids)]
     assert np.abs(of_found - points).max() < 0.05
+
+
+def test_the_axis_of_the_collimator_stays_near_the_tag_unless_its_place_is_given():
+    standard = truth_from_config({}).collimator
+    own = truth_from_config({"target": SMALL}).collimator
+    middle, own_middle = StarTarget().tag_centre_mm, truth_from_config({"target": SMALL}).target.tag_centre_mm
+    assert own.x - own_middle[0] == pytest.approx(standard.x - middle[0])
+    assert own.y - own_middle[1] == pytest.approx(standard.y - middle[1])
+    assert truth_from_config({"target": SMALL, "collimator": {"x": 5.0}}).collimator.x == 5.0
+    assert truth_from_config({"target": {"squares": [50, 72]}}).collimator == standard

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from simulators.pixels.biases import ALLOWED, PixelSettings
 from simulators.pixels.evt3_writer import COUNTER_US, ERC_QUOTA, Evt3Writer, RateController
-from simulators.pixels.sensor import Events, Link, Sensor, draw_noise_rates
+from simulators.pixels.sensor import Events, Link, Sensor, draw_noise_rates, simulate
 from simulators.pixels.sensor_stream import sync_edges
 from simulators.world.truth import NoiseTruth
 from simulators.world.world import LightState
@@ -185,6 +185,16 @@ def test_what_is_read_at_one_time_is_one_row_from_left_to_right_and_the_next_rea
         assert (np.diff(times) > row_us + count[:-1] * event_us - 1.0).all()
 
 
+@examples(8, 200)
+def test_the_readout_never_beats_its_peak_rate(examples):
+    @check(examples, light=lights(), noise=noises(), seed=SEEDS, peak=st.floats(2.0, 100.0))
+    def holds(light, noise, seed, peak):
+        events = begun(light, None, noise, seed, Link(event_us=1.0 / peak)).run(25_000)
+        # one row may straddle the begin of any 100 us, and a read lies anywhere in its microsecond
+        ends = np.searchsorted(events.t, events.t + 100)
+        assert (ends - np.arange(len(events.t))).max(initial=0) <= 101 * peak + WIDTH
+
+
 @examples(12, 300)
 def test_the_background_is_a_poisson_process_without_bias(examples):
     deviations = []
@@ -278,3 +288,15 @@ def test_slicing_does_not_change_the_stream_and_the_same_seed_gives_the_same_byt
         whole = words([25_000])
         assert words([*cuts, 25_000]) == whole
         assert words([25_000]) == whole
+
+
+@examples(8, 100)
+def test_another_seed_gives_other_noise_over_the_same_light(examples):
+    @check(examples, light=lights(), seed=st.integers(0, 2**31))
+    def holds(light, seed):
+        noise = NoiseTruth(mismatch=0.1, background_hz=50.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.02)
+        a, b, again = (
+            simulate(picture(1), light, 20_000, noise=noise, seed=s) for s in (seed, seed + 1, seed)
+        )
+        assert not np.array_equal(a.t, b.t)
+        assert all(np.array_equal(x, y) for x, y in zip(a, again, strict=True))

@@ -1,11 +1,15 @@
 """The simulated world and its temperature."""
 
 import math
+import struct
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import wait_until
 
+from simulators.bench import Pulse
 from simulators.world.drift import temperature_c
 from simulators.world.truth import REFERENCE_C, ThermalTruth, Truth
 from simulators.world.world import AxisMotion, LightState, World
@@ -79,3 +83,13 @@ def test_the_focal_length_follows_the_temperature_of_the_moment():
 
 
 # ---------------------------------------------------------------- pulses
+
+
+def test_the_pulse_runs_and_never_faster_than_the_clock(tmp_path):
+    path = tmp_path / "pulse"
+    began_s = time.monotonic()
+    pulse = Pulse(path)
+    wait_until(lambda: struct.unpack("<d", path.read_bytes())[0] >= 0.05, 10.0)
+    lived_s = struct.unpack("<d", path.read_bytes())[0]
+    assert lived_s <= time.monotonic() - began_s
+    pulse.close()

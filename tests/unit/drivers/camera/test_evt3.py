@@ -28,6 +28,10 @@ def test_a_base_near_the_edge_is_fine_as_long_as_no_bit_lies_beyond_it():
     assert len(decode(high(0), low(0), row(0), base(WIDTH - 4), vector12(0b1111))[0]) == 4
 
 
+def test_slave_bit_of_a_row_is_no_part_of_the_row():
+    assert decode(high(0), low(0), row(5) | 0x800, event(3))[0] == [(0, 3, 5, 0)]
+
+
 def test_events_before_the_first_time_are_dropped():
     events, edges, _ = decode(row(5), event(3), base(0), vector12(7), trigger(1), high(1), low(2), event(4))
     assert events == [(4098, 4, 5, 0)]
@@ -69,6 +73,12 @@ def test_malformed_words_are_refused_at_their_byte(words, message):
     assert str(caught.value).startswith("x.raw: ")
 
 
+def test_padding_is_skipped():
+    """Some cameras fill their packets with 0x9999."""
+    words = [high(0), 0x9999, low(5), 0x9999, row(1), event(7), 0x9999, 0x9999, event(8)]
+    assert decode(*words)[0] == [(5, 7, 1, 0), (5, 8, 1, 0)]
+
+
 def test_words_of_other_types_are_counted_and_left_out_where_that_is_asked_for():
     decoder = Evt3Decoder(WIDTH, HEIGHT, skip_unknown=True)
     words = [high(0), low(5), row(1), 0xB123, event(7), 0x9999, 0xCFFF, event(8), 0x9000]
@@ -94,6 +104,17 @@ def test_events_without_a_place_count_nowhere(missing):
     assert decoder.statistics().events == image.sum()
 
 
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(ValueError, match="sensor"):
+        Evt3Decoder(WIDTH, HEIGHT).count(np.array([high(0)], np.uint16), np.zeros((2, 10, 10), np.uint16))
+
+
+def test_arrays_without_room_are_refused():
+    words = np.array([high(0), low(0), row(0), *[event(k) for k in range(40)]], np.uint16)
+    with pytest.raises(ValueError, match="no room"):
+        Evt3Decoder(WIDTH, HEIGHT).decode_into(words, empty_events(39), 0)
+
+
 def test_decoding_into_arrays_touches_nothing_beyond_the_room_it_asks_for():
     words = np.array([high(0), low(0), row(0), *[event(k) for k in range(300)]], np.uint16)
     events = empty_events(352)
@@ -102,6 +123,12 @@ def test_decoding_into_arrays_touches_nothing_beyond_the_room_it_asks_for():
     assert end == 300
     assert events.x[:310].tolist() == [7] * 10 + list(range(300))
     assert events.x[342:].tolist() == [7] * 10
+
+
+def test_decoding_into_arrays_refuses_a_malformed_first_word():
+    with pytest.raises(RecordingCorrupt) as caught:
+        Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array([0x9000], np.uint16), empty_events(50), 0)
+    assert caught.value.offset == 0
 
 
 # ---------------------------------------------------------------- the clock
@@ -145,6 +172,10 @@ def test_a_time_high_that_is_half_a_turn_lower_has_wrapped(new, wraps):
 def test_a_stream_without_a_whole_time_has_no_duration():
     assert decode()[2].duration_s == 0.0
     assert decode(high(5))[2].duration_s == 0.0
+
+
+def test_a_stream_that_begins_at_zero_covers_its_time():
+    assert decode(high(0), low(0), low(5), low(9))[2].first_t_us == 0
 
 
 def test_time_low_stepping_back_far_means_missing_words():
@@ -242,6 +273,16 @@ def test_events_that_the_sensor_counted_and_that_did_not_arrive_are_lost():
 )
 def test_parts_of_a_payload_out_of_their_order_count_nowhere(stray):
     assert decode(*others(0x016, 3), *stray)[2].rate_controller_out == 3
+
+
+def test_a_report_that_did_not_arrive_leaves_an_odd_window():
+    statistics = reported((3, 3), (9, 4))
+    assert (statistics.lost_events, statistics.mismatched_windows) == (0, 1)
+
+
+def test_payloads_of_other_subtypes_count_nowhere():
+    statistics = decode(*others(0x016, 3), *others(0x0FF, 77), 0xD000, 0xF123, 0xF456)[2]
+    assert statistics.rate_controller_out == 3
 
 
 def test_a_sensor_that_does_not_report_its_rate_controller_is_not_taken_for_zero():

@@ -1,19 +1,25 @@
 """Frame cameras and their files."""
 
+import time
+
 import cv2
 import numpy as np
 import pytest
 
 from drivers.camera import frame_cameras
+from drivers.camera import frames as frames_module
 from drivers.camera.frame_cameras import STALE_FRAMES, FolderFrameCamera, OpenCvFrameCamera
-from drivers.camera.frames import FrameSettings, read_frames, to_grey, write_frames
+from drivers.camera.frames import FrameSettings, mean_frame, read_frames, to_grey, write_frames
 from drivers.clock import SystemClock
 from drivers.errors import (
     CameraBusy,
+    CameraError,
     CameraLost,
     CameraNotFound,
     CameraSettingRefused,
+    NotARecording,
     RecordingFailed,
+    RecordingFileError,
     WrongDevice,
 )
 
@@ -35,6 +41,12 @@ def test_pictures_come_back_bit_for_bit(tmp_path, dtype, n):
     assert [file.name for file in tmp_path.iterdir()] == ["pose.tiff"]
 
 
+def test_the_mean_is_that_of_the_grey_values(tmp_path):
+    taken = pictures(4, np.uint16)
+    write_frames(tmp_path / "pose.tiff", taken)
+    assert mean_frame(tmp_path / "pose.tiff") == pytest.approx(np.mean(taken, axis=0), rel=1e-6)
+
+
 def test_pictures_are_never_overwritten(tmp_path):
     (tmp_path / "pose.tiff").write_bytes(b"precious")
     with pytest.raises(RecordingFailed, match="file exists already"):
@@ -42,11 +54,29 @@ def test_pictures_are_never_overwritten(tmp_path):
     assert (tmp_path / "pose.tiff").read_bytes() == b"precious"
 
 
+def test_a_missing_folder_is_told(tmp_path):
+    with pytest.raises(RecordingFailed, match="no such folder"):
+        write_frames(tmp_path / "none" / "pose.tiff", pictures(1))
+
+
 def test_colours_become_grey():
     red = np.zeros((2, 2, 3), np.uint8)
     red[..., 2] = 255
     assert to_grey(red, where="x").tolist() == [[76, 76], [76, 76]]
     assert to_grey(np.full((2, 2, 1), 7, np.uint16), where="x").tolist() == [[7, 7], [7, 7]]
+
+
+def test_pixels_of_another_kind_are_refused():
+    with pytest.raises(RecordingFileError, match="float64"):
+        to_grey(np.zeros((2, 2)), where="x")
+
+
+def test_what_is_no_picture_is_told(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"hello")
+    with pytest.raises(NotARecording, match="holds no images"):
+        read_frames(tmp_path / "a.png")
+    with pytest.raises(RecordingFileError, match="no such file"):
+        read_frames(tmp_path / "none.png")
 
 
 @pytest.fixture
@@ -86,6 +116,16 @@ def test_pictures_of_two_sizes_are_refused(folder, tmp_path):
     assert not (tmp_path / "a.tiff").exists()
 
 
+def test_an_empty_folder_is_told(tmp_path):
+    with pytest.raises(CameraNotFound, match="holds no images"):
+        FolderFrameCamera.open(tmp_path, clock=SystemClock())
+
+
+def test_no_pictures_at_all_is_refused(folder, tmp_path):
+    with pytest.raises(RecordingFailed, match="0 of 0 frames"):
+        FolderFrameCamera.open(folder, clock=SystemClock()).capture(tmp_path / "a.tiff", 0)
+
+
 def test_stop_ends_a_capture_early(folder, tmp_path):
     class StoppingClock(SystemClock):
         def sleep(self, seconds):
@@ -104,6 +144,11 @@ def test_a_video_source_is_read_to_its_end(folder, tmp_path):
     with pytest.raises(CameraLost, match="no more frames"):
         camera.capture(tmp_path / "b.tiff", 1)
     camera.close()
+
+
+def test_a_source_that_cannot_be_opened_is_told(tmp_path):
+    with pytest.raises(CameraNotFound, match="cannot open"):
+        OpenCvFrameCamera.open(str(tmp_path / "none_%03d.png"), clock=SystemClock())
 
 
 class Live:
@@ -172,6 +217,13 @@ def test_another_camera_under_that_name_is_refused_and_never_opened(video, monke
     monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
     with pytest.raises(WrongDevice, match="This is camera 8A0A3C5F, not 12345"):
         OpenCvFrameCamera.open("7", serial="12345", clock=SystemClock(), system=video[1])
+
+
+def test_another_camera_plugged_in_meanwhile_takes_no_picture(webcam, tmp_path):
+    (tmp_path / "usb" / "serial").write_text("FFFF")
+    with pytest.raises(WrongDevice, match="camera FFFF, not 8A0A3C5F"):
+        webcam.capture(tmp_path / "a.tiff", 1)
+    assert not (tmp_path / "a.tiff").exists()
 
 
 def test_a_serial_number_that_nothing_can_tell_is_refused(monkeypatch):
@@ -277,6 +329,55 @@ def test_a_camera_that_has_frozen_is_noticed(monkeypatch, tmp_path):
     with pytest.raises(RecordingFailed, match="All frames are identical to the last bit"):
         camera.capture(tmp_path / "a.tiff", 3)
     assert not (tmp_path / "a.tiff").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_pictures_of_files_may_repeat_themselves(tmp_path):
+    for k in range(2):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), pictures(1)[0])
+    camera = OpenCvFrameCamera.open(str(tmp_path / "%d.png"), clock=SystemClock())
+    assert camera.capture(tmp_path / "a.tiff", 2).complete
+    camera.close()
+
+
+def test_pictures_of_a_folder_cannot_be_exposed_again(folder):
+    with pytest.raises(CameraSettingRefused, match="cannot be changed after"):
+        FolderFrameCamera.open(folder, clock=SystemClock()).apply(FrameSettings(gain=2.0))
+
+
+def test_a_closed_camera_opens_nothing_again(monkeypatch, tmp_path):
+    lives = [Live(10 * n) for n in range(3)]
+    camera = network_camera(monkeypatch, lives)
+    camera.close()
+    for act in (
+        camera.identify,
+        lambda: camera.apply(FrameSettings()),
+        lambda: camera.capture(tmp_path / "a.tiff", 1),
+    ):
+        with pytest.raises(CameraError, match="is closed"):
+            act()
+    assert not (tmp_path / "a.tiff").exists()
+
+
+def test_the_clock_is_used_while_frames_are_written(folder, tmp_path, monkeypatch):
+    class Counting(SystemClock):
+        uses = 0
+
+        def monotonic(self):
+            self.uses += 1
+            return super().monotonic()
+
+    clock = Counting()
+
+    def write_slowly(path, taken):
+        time.sleep(0.35)
+        return write_frames(path, taken)
+
+    monkeypatch.setattr(frames_module, "write_frames", write_slowly)
+    camera = FolderFrameCamera.open(folder, clock=clock)
+    clock.uses = 0
+    assert camera.capture(tmp_path / "a.tiff", 2).complete
+    assert clock.uses >= 3
 
 
 def test_every_page_of_a_file_is_a_picture(clock, tmp_path):

@@ -17,6 +17,7 @@ from drivers.errors import (
     CameraNotFound,
     CameraSettingRefused,
     CameraSoftwareMissing,
+    WrongDevice,
 )
 from tests.unit.drivers.camera.neuromorphic_fake import SERIAL, Biases, Configuration, Device
 
@@ -99,6 +100,28 @@ def test_a_camera_that_cannot_be_opened_is_told_with_those_that_are_there(packag
         NeuromorphicEvk4.open(serial="1", clock=clock, utc_now=lambda: NOW)
 
 
+def test_a_camera_that_has_gone_does_not_say_who_it_is(camera, device, monkeypatch):
+    """The serial number may be remembered; a run then said that the camera answers."""
+
+    def gone():
+        raise RuntimeError("temperature timeout")
+
+    assert camera.identify().serial == SERIAL
+    monkeypatch.setattr(device, "temperature_celsius", gone)
+    with pytest.raises(CameraLost, match="does not answer"):
+        camera.identify()
+    NeuromorphicEvk4(
+        device, None, serial=SERIAL, clock=None, utc_now=lambda: NOW
+    ).identify()  # it never measured
+
+
+@pytest.mark.usefixtures("package")
+def test_another_camera_is_refused_and_given_back(device, clock):
+    with pytest.raises(WrongDevice, match="00051234, not 00099999"):
+        NeuromorphicEvk4.open(serial="00099999", clock=clock, utc_now=lambda: NOW)
+    assert device.closed
+
+
 def test_the_trigger_input_is_off_until_settings_switch_it_on(device, camera):
     assert not device.configuration.enable_external_trigger
     camera.apply(CameraSettings(trigger_in=True))
@@ -123,6 +146,17 @@ def test_a_bias_out_of_range_is_refused_before_it_is_sent(device, camera):
     with pytest.raises(CameraSettingRefused, match="bias_fo from -100 to 100, not 101"):
         camera.apply(CameraSettings({"bias_fo": 101}))
     assert device.configuration is before
+
+
+@pytest.mark.parametrize("value", [-100, 100])
+def test_biases_reach_the_ends_of_their_range(device, camera, value):
+    camera.apply(CameraSettings({"bias_hpf": value}))
+    assert device.configuration.biases.hpf == value
+
+
+def test_an_unknown_bias_is_refused(camera):
+    with pytest.raises(CameraSettingRefused, match="no bias bias_x"):
+        camera.apply(CameraSettings({"bias_x": 1}))
 
 
 def test_a_recording_holds_the_packets_and_covers_the_time(device, camera, tmp_path):
@@ -168,6 +202,12 @@ def test_packets_lost_on_the_way_are_in_the_facts(device, camera, tmp_path):
     assert "1004.000000" in gaps[1]
 
 
+def test_packets_lost_before_the_recording_are_not(device, camera, tmp_path):
+    device.overflows = {0: [0], 1: [0]}
+    device.dropped = dict.fromkeys(range(100), 7)
+    assert camera.record(tmp_path / "pose.raw", 0.02).gaps == ()
+
+
 def test_unplugging_is_told_with_the_partial_file(device, camera, tmp_path):
     device.gone_at = 3
     path = tmp_path / "pose.raw"
@@ -196,3 +236,17 @@ def test_a_camera_on_usb_2_is_refused_and_free_again(package, clock, monkeypatch
         NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW)
     NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: NOW).close()
     assert not package.trouble
+
+
+@pytest.mark.parametrize(
+    ("on_usb", "maker_and_model"),
+    [
+        (("IDS", "uEye XCP-E"), ("IDS", "uEye XCP-E")),
+        (("Prophesee", "EVK4"), ("Prophesee", "EVK4")),
+        (None, ("unknown maker", "camera with an IMX636")),
+    ],
+)
+def test_a_camera_of_another_maker_is_journaled_as_what_it_is(camera, monkeypatch, on_usb, maker_and_model):
+    monkeypatch.setattr("drivers.camera.neuromorphic_evk4.only_camera_kind", lambda: on_usb)
+    identity = camera.identify()
+    assert (identity.maker, identity.model) == maker_and_model

@@ -1,6 +1,7 @@
 """neuromorphic-drivers itself, where it is installed: the fake agrees with it, and its errors are told."""
 
 import dataclasses
+import inspect
 import sys
 from datetime import UTC, datetime
 
@@ -18,6 +19,10 @@ def real():
 
 def fields(kind):
     return {field.name for field in dataclasses.fields(kind)}
+
+
+def parameters(call):
+    return list(inspect.signature(call).parameters)
 
 
 def test_the_fake_has_the_fields_of_the_real_package(real):
@@ -42,6 +47,16 @@ def test_the_real_package_has_the_fields_that_are_read(real):
 def test_the_real_device_has_the_calls_of_the_fake(real, call):
     assert hasattr(Device, call)
     assert hasattr(real.prophesee_evk4.PropheseeEvk4DeviceRawOptional, call)
+
+
+@pytest.mark.parametrize("call", ["clear_backlog", "update_configuration"])
+def test_calls_take_the_parameters_that_the_fake_takes(real, call):
+    device = real.prophesee_evk4.PropheseeEvk4DeviceRawOptional
+    assert parameters(getattr(device, call)) == parameters(getattr(Device, call))
+
+
+def test_opening_takes_the_parameters_that_the_driver_gives(real):
+    assert {"configuration", "iterator_timeout", "raw", "serial"} <= set(parameters(real.open))
 
 
 def test_without_a_camera_the_real_package_gives_a_clear_error(real, clock):

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.camera import CameraIdentity
 from drivers.camera.raw_file import RawFile
-from drivers.camera.raw_header import parse_header, render_header
-from drivers.errors import NotARecording, RecordingFileError
+from drivers.camera.raw_header import MAX_HEADER_BYTES, parse_header, render_header
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 HEADER = (
     b"% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% serial_number 00051234\n% end\n"
@@ -51,6 +51,13 @@ def test_a_scan_tells_counts_times_and_size(raw):
     assert not scan.truncated
 
 
+def test_counts_are_the_events_of_each_pixel(raw):
+    image = RawFile.open(raw()).counts()
+    assert image.shape == (2, 720, 1280)
+    assert image.sum() == 2
+    assert image[1, 5, 3] == image[0, 5, 4] == 1
+
+
 def test_chunks_hold_no_more_than_asked_for_and_all_together(raw):
     words = [0x8001, 0x6002, 0x0005, *[0x2000 | x for x in range(1000)]]
     chunks = list(RawFile.open(raw(words)).chunks(max_events=64))
@@ -79,6 +86,15 @@ def test_a_file_cut_anywhere_is_readable_up_to_there(raw, kept):
     recording = RawFile.open(path)
     assert recording.scan().truncated == (kept % 2 == 1)
     assert len(recording.read()[0].t) == sum(kept >= end for end in (8, 14))
+
+
+def test_an_offset_beyond_the_first_block_is_right(raw):
+    words = np.full(600_000, 0x2007)
+    words[:3] = 0x8001, 0x6002, 0x0005
+    words[555_555] = 0x9000
+    with pytest.raises(RecordingCorrupt) as caught:
+        RawFile.open(raw(words)).scan()
+    assert caught.value.offset == len(HEADER) + 2 * 555_555
 
 
 # ---------------------------------------------------------------- headers
@@ -131,6 +147,14 @@ def test_the_number_of_the_system_tells_sensor_and_encoding_that_the_header_leav
     assert (header.encoding, (header.width, header.height)) == (stated, size)
 
 
+def test_the_number_of_another_makers_system_tells_nothing():
+    start = b"% evt 3.0\n% integrator_name CenturyArks\n% system_ID 49\n"
+    with pytest.raises(NotARecording, match="sensor's size"):
+        parse_header(start, where="x")
+    header = parse_header(start, where="x", sensor_size=(640, 480))
+    assert (header.width, header.height) == (640, 480)
+
+
 def test_a_size_that_the_user_states_must_not_contradict_the_header():
     start = b"% evt 3.0\n% geometry 1280x720\n"
     assert parse_header(start, where="x", sensor_size=(1280, 720)).width == 1280
@@ -151,6 +175,17 @@ def test_a_size_that_the_user_states_must_not_contradict_the_header():
 )
 def test_the_order_of_the_halves_of_evt21_is_that_of_the_header_or_of_the_system(lines, encoding):
     assert parse_header(lines, where="x", evt3_only=False).encoding == encoding
+
+
+def test_runs_of_white_space_count_as_one_and_unknown_keys_stay():
+    header = parse_header(b"% format EVT3;height=4;width=6\n% lens   f 12   mm\n% end\n", where="x")
+    assert header.fields["lens"] == "f 12 mm"
+    assert (header.width, header.height) == (6, 4)
+
+
+def test_words_that_look_like_a_header_line_are_words_after_its_end():
+    start = b"% format EVT3;height=720;width=1280\n% end\n% \n\n"
+    assert parse_header(start, where="x").size_bytes == len(start) - 4
 
 
 def zip_start(*names):
@@ -218,11 +253,36 @@ def test_other_files_are_told_by_what_they_are(tmp_path, start, message):
     assert caught.value.remedy
 
 
+def test_a_file_that_ends_within_its_header_is_told_as_such(tmp_path):
+    (tmp_path / "cut.raw").write_bytes(b"% evt 3.0\n% geom")
+    with pytest.raises(NotARecording, match="within its header"):
+        RawFile.open(tmp_path / "cut.raw")
+
+
+@pytest.mark.parametrize("line", [b"% a b\n", b"% a bcd\n"])
+def test_an_endless_header_is_given_up(tmp_path, line):
+    path = tmp_path / "endless.raw"
+    path.write_bytes(line * MAX_HEADER_BYTES)
+    with pytest.raises(NotARecording, match="65536 bytes"):
+        RawFile.open(path)
+
+
 def test_a_missing_file_and_a_folder_are_told_apart(tmp_path):
     with pytest.raises(RecordingFileError, match="no such file"):
         RawFile.open(tmp_path / "none.raw")
     with pytest.raises(NotARecording, match="folder"):
         RawFile.open(tmp_path)
+
+
+def test_a_file_without_permission_says_so(raw, monkeypatch):
+    path = raw()
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.open", refuse)  # a mode would not keep root out
+    with pytest.raises(RecordingFileError, match="no permission to read"):
+        RawFile.open(path)
 
 
 def test_a_new_header_reads_back(tmp_path):

@@ -2,10 +2,11 @@
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
 
-from drivers.camera.raw_writer import RawWriter, check_space
+from drivers.camera.raw_writer import RawWriter, check_new, check_space, sync_file
 from drivers.errors import RecordingFailed
 
 
@@ -77,8 +78,33 @@ def test_a_first_error_is_not_hidden_by_a_failing_sync(unsynced):
         raise KeyboardInterrupt
 
 
+def test_places_that_cannot_be_written_are_told_before(tmp_path, monkeypatch):
+    check_new(tmp_path / "a.raw")
+    with pytest.raises(RecordingFailed, match="no such folder"):
+        check_new(tmp_path / "none" / "a.raw")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(RecordingFailed, match="no write permission"):
+        check_new(tmp_path / "a.raw")
+
+
 def test_a_disk_that_is_nearly_full_is_told_before_recording(tmp_path, monkeypatch):
     check_space(tmp_path / "a.raw")
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
     with pytest.raises(RecordingFailed, match="disk is full"):
         check_space(tmp_path / "a.raw")
+
+
+def test_a_file_that_is_not_there_needs_no_sync(tmp_path):
+    sync_file(tmp_path / "none.raw")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_may_not_even_be_looked_into_is_told(tmp_path, monkeypatch):
+    def refuse(path, *_arguments, **_how):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", refuse)
+    with pytest.raises(RecordingFailed, match="no write permission"):
+        check_new(tmp_path / "a.raw")
+    with pytest.raises(RecordingFailed, match="no write permission"):
+        sync_file(tmp_path / "a.raw")

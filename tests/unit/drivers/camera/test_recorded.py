@@ -8,6 +8,7 @@ from drivers.camera.raw_file import RawFile
 from drivers.camera.recorded import RecordedCamera
 from drivers.clock import SystemClock
 from drivers.errors import (
+    CameraNotFound,
     CameraSettingRefused,
     RecordingFailed,
     WrongDevice,
@@ -63,6 +64,15 @@ def test_the_end_of_the_files_is_told(play, folder, tmp_path):
     assert not (tmp_path / "c.raw").exists()
 
 
+def test_stop_ends_a_recording_early(folder, tmp_path):
+    class StoppingClock(SystemClock):
+        def sleep(self, seconds):
+            camera.stop()
+
+    camera = RecordedCamera.open(folder, clock=StoppingClock())
+    assert not camera.record(tmp_path / "a.raw", 0.001).complete
+
+
 def test_one_long_file_is_taken_piece_after_piece(play, tmp_path):
     write(tmp_path / "long.raw", stream(200))
     camera = play(tmp_path / "long.raw")
@@ -73,6 +83,18 @@ def test_one_long_file_is_taken_piece_after_piece(play, tmp_path):
         scan = RawFile.open(path).scan()
         assert scan.first_t_us >= last_t
         last_t = scan.last_t_us
+
+
+def test_a_file_exactly_as_long_as_asked_is_complete(play, tmp_path):
+    write(tmp_path / "long.raw", stream(40))
+    facts = play(tmp_path / "long.raw").record(tmp_path / "a.raw", 0.04)
+    assert (facts.complete, facts.duration_s) == (True, pytest.approx(0.04))
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_time_at_all_is_refused(play, folder, tmp_path, duration_s):
+    with pytest.raises(RecordingFailed, match="is not possible"):
+        play(folder).record(tmp_path / "a.raw", duration_s)
 
 
 def test_a_recording_that_has_been_played_is_not_played_again(play, tmp_path):
@@ -104,6 +126,17 @@ def test_identity_is_that_of_the_header(play, folder):
 def test_files_of_another_camera_are_refused(play, folder):
     with pytest.raises(WrongDevice, match="by camera 42, not 43"):
         play(folder, serial="43")
+
+
+def test_files_of_two_cameras_are_refused(play, folder):
+    write(folder / "pose-003.raw", stream(5), serial=b"99")
+    with pytest.raises(WrongDevice, match="99, not 42"):
+        play(folder)
+
+
+def test_an_empty_folder_is_told(play, tmp_path):
+    with pytest.raises(CameraNotFound, match="holds no RAW file"):
+        play(tmp_path)
 
 
 def test_biases_cannot_be_set_any_more(play, folder):

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.described.description import TemplateFault, parse_template, with_checksum
+from drivers.errors import OutsideLimits
 
 NONE: frozenset[str] = frozenset()
 
@@ -80,6 +81,15 @@ def test_a_template_that_could_be_read_in_two_ways_is_refused(template, fault) -
         reply(template)
 
 
+def test_a_request_takes_known_values_only() -> None:
+    template = parse_template(
+        "{address}P{target:integer}", known=frozenset({"address"}), readable=frozenset({"target"})
+    )
+    assert template.render({"address": "P", "target": -1000.4}) == "PP-1000"
+    with pytest.raises(TemplateFault, match="no value 'goal' here"):
+        parse_template("{goal:integer}", known=NONE, readable=frozenset({"target"}))
+
+
 @pytest.mark.parametrize(
     ("request_", "value", "text"),
     [
@@ -124,6 +134,12 @@ def test_a_value_is_known_as_it_is_sent(request_, value, sent) -> None:
 )
 def test_a_checksum_is_one_of_a_few_kinds(kind, body, digits) -> None:
     assert with_checksum(kind, body) == body + digits
+
+
+@pytest.mark.parametrize(("kind", "value"), [("hex.2", 256), ("hex.2", -1), ("signed_hex.2", 128)])
+def test_a_number_that_does_not_fit_into_its_digits_is_not_sent(kind, value) -> None:
+    with pytest.raises(OutsideLimits, match="2 hexadecimal digits"):
+        parse_template(f"{{v:{kind}}}", known=NONE, readable=frozenset({"v"})).render({"v": value})
 
 
 def test_no_line_takes_long_to_refuse() -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.errors import LightFault, SettingRefused, WrongDevice
+from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
-from simulators.lights.gardasoft import GardasoftRt
+from simulators.lights.gardasoft import CONTINUOUS, GardasoftRt
 from simulators.world.world import LightState
 from tests.hil.direct_stages import VirtualClock, direct_line
 
@@ -66,6 +66,11 @@ def test_a_light_that_is_on_stays_on_when_it_is_set_anew(light, bench) -> None:
     assert bench.states[-1].frequency_hz == 50.0
 
 
+def test_without_sync_the_second_channel_is_dark(light, bench) -> None:
+    light.apply(LightSettings(sync_output=False))
+    assert (bench.device.outputs[2].mode, bench.device.outputs[2].percent) == (CONTINUOUS, 0.0)
+
+
 def test_another_model_is_refused(bench) -> None:
     with pytest.raises(WrongDevice, match="RT820, but RT260-20 answers"):
         bench.open(model="RT820")
@@ -88,10 +93,26 @@ def test_what_it_cannot_do_is_refused_before_anything_is_sent(light, bench, sett
     assert bench.line.sent == []
 
 
+def test_a_sync_without_a_channel_for_it_is_refused(bench) -> None:
+    light = bench.open(sync_channel=None)
+    with pytest.raises(SettingRefused, match="no sync channel"):
+        light.apply(FLICKER)
+
+
+def test_a_period_that_is_held_in_its_range_is_refused(light, bench) -> None:
+    with pytest.raises(SettingRefused, match=r"Err 5.*changed to a valid one"):
+        light.apply(LightSettings(frequency_hz=2e4))
+
+
 def test_a_setting_that_does_not_stick_is_refused_with_both_values(light, bench) -> None:
     bench.turn("RT1,5.0000", "RT1,4.9000")
     with pytest.raises(SettingRefused, match=r"pulse width: asked 5\.0000 ms, got 4\.9000 ms"):
         light.apply(FLICKER)
+
+
+def test_a_channel_that_shines_steadily_is_no_flicker(light) -> None:
+    with pytest.raises(LightFault, match="pulse mode"):
+        light.read()
 
 
 def test_an_event_is_told_and_darkness_too(light, bench) -> None:
@@ -123,4 +144,32 @@ def test_a_steady_light_is_switched_off_by_who_did_not_switch_it_on(light, bench
     another = bench.open()
     assert another.is_on()
     another.off()
+    assert not bench.lit()
+
+
+def test_a_steady_light_that_the_controller_holds_lower_is_refused(light, bench) -> None:
+    light.apply(LightSettings("steady", high_v=2.5))
+    bench.turn("RS1,50.0", "RS1,40.0")
+    with pytest.raises(SettingRefused, match=r"50\.0 %"):
+        light.on()
+
+
+def test_a_period_beyond_all_numbers_is_no_period(light, bench) -> None:
+    light.apply(LightSettings(frequency_hz=60.0))
+    bench.line.spoil = lambda reply: reply.replace(b"TP ", b"TP " + 400 * b"9")
+    with pytest.raises(ReplyError, match="no quantity TP"):
+        light.read()
+
+
+@pytest.mark.parametrize(
+    ("given", "put"),
+    [(b", ", b" "), (b", ", b","), (b", ", b"; "), (b"ms, ", b"ms "), (b"IP ", b"IP"), (b"%", b" %")],
+)
+def test_fields_may_be_separated_in_other_ways(light, bench, given, put) -> None:
+    """The manual names the fields of ``STc`` (section 12.3.1), but what separates them differs between models."""
+    bench.line.spoil = lambda reply: reply.replace(given, put)
+    assert light.apply(FLICKER).high_v == 2.5
+    light.on()
+    assert bench.lit()
+    light.off()
     assert not bench.lit()

@@ -9,6 +9,7 @@ from drivers.light import LightSettings
 from tests.unit.drivers.light.generator_bench import Bench
 
 MODES = ("BURS:STAT", "SWE:STAT", "AM:STAT", "FM:STAT", "FSK:STAT")
+OTHERS = pytest.mark.parametrize("dialect", ["keysight", "numbered", "siglent"])
 
 
 def use(bench: Bench, *refused: str) -> dict[str, str]:
@@ -41,11 +42,28 @@ def test_the_signal_is_the_plain_one_that_was_asked_for(dialect) -> None:
     assert left == {}
 
 
+def test_a_generator_without_such_modes_is_not_asked_for_them_again() -> None:
+    bench = Bench()
+    light = bench.open()
+    light.apply(LightSettings(frequency_hz=60.0))
+    assert "BURS:STAT OFF" in bench.sent()
+    bench.line.sent.clear()
+    light.apply(LightSettings(frequency_hz=50.0))
+    assert "BURS:STAT OFF" not in bench.sent()
+
+
 def test_a_mode_that_does_not_go_off_is_told() -> None:
     bench = Bench()
     use(bench, "SWE:STAT")
     with pytest.raises(SettingRefused, match=r"sweep is refused.*-222"):
         bench.open().apply(LightSettings(frequency_hz=60.0))
+
+
+@OTHERS
+def test_a_generator_without_a_polarity_of_sync_is_not_said_to_have_it(dialect) -> None:
+    bench = Bench(dialect)
+    bench.turn("OUTP1:SYNC:POL", "OUTP1:SYNC:POX")
+    assert bench.open().sync_polarity() == "not stated by the device"
 
 
 SPOILT = [
@@ -102,3 +120,9 @@ def test_a_load_that_is_not_taken_would_double_or_halve_the_levels(
         else:
             with pytest.raises(SettingRefused, match=r"load stays .*LOAD.*is answered by"):
                 light.apply(LightSettings(frequency_hz=60.0))
+
+
+def test_a_generator_that_does_not_tell_its_load_is_believed() -> None:
+    bench = Bench()
+    bench.turn("OUTP:LOAD\\?", "OUTP:LOAF?")
+    assert bench.open().apply(LightSettings(frequency_hz=60.0)).frequency_hz == 60.0

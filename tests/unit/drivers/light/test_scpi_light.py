@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
+from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
+from drivers.text_line import ScpiLine
 from tests.unit.drivers.light.generator_bench import Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
@@ -35,6 +36,10 @@ def test_another_serial_number_is_refused(bench) -> None:
         bench.open(serial="SG0043")
     assert bench.line.closed
     assert bench.commands() == []
+
+
+def test_a_serial_number_may_be_written_in_small_letters(bench) -> None:
+    assert bench.open(serial="sg0042").identify().serial == "SG0042"
 
 
 def test_a_flicker_is_set_in_the_generators_words(light, bench) -> None:
@@ -75,6 +80,14 @@ def test_a_generator_without_error_queue_is_served_all_the_same() -> None:
     assert light.apply(FLICKER) == FLICKER
     light.on()
     assert light.faults() == []
+
+
+def test_a_generator_without_load_setting_is_told_how_to_be_named(light, bench) -> None:
+    bench.device.receive(b"OUTP:LOAD INF\n")
+    bench.turn("OUTP:LOAD", "OUTP:LOAF")
+    with pytest.raises(SettingRefused, match="load: unchanged"):
+        light.apply(FLICKER)
+    assert bench.open(load="unchanged").apply(FLICKER) == FLICKER
 
 
 def test_errors_from_before_us_are_not_ours(bench) -> None:
@@ -121,6 +134,25 @@ def test_an_output_that_goes_dark_by_itself_is_told(light, bench) -> None:
     ]
 
 
+def test_another_waveform_is_told_not_taken_for_one_of_ours(light, bench) -> None:
+    bench.answer({"FUNC": "RAMP"})
+    with pytest.raises(LightFault, match="waveform is 'RAMP'"):
+        light.read()
+
+
+def test_a_query_the_instrument_does_not_know_is_told_in_its_words(bench) -> None:
+    line = ScpiLine(bench.line, clock=bench.clock)
+    with pytest.raises(DriverError, match=r'FLICKER\? is refused: -113 "Undefined header"'):
+        line.query("FLICKER?")
+
+
+def test_an_error_queue_that_never_ends_is_given_up(bench) -> None:
+    line = ScpiLine(bench.line, clock=bench.clock)
+    bench.answer({"SYST:ERR": '-222,"Data out of range"'})
+    with pytest.raises(ReplyError, match="never ends"):
+        line.read_errors()
+
+
 # ---------------------------------------------------------------- other makes
 
 
@@ -160,6 +192,12 @@ def test_an_answer_of_another_form_is_refused_by_the_siglent_way(part, wrong) ->
     bench.line.spoil = lambda reply: re.sub(part, wrong, reply)
     with pytest.raises(ReplyError):
         light.read()
+
+
+def test_the_wrong_dialect_is_told_by_the_instrument_itself(bench) -> None:
+    light = bench.open(dialect="numbered")
+    with pytest.raises(DriverError, match="-113"):
+        light.apply(FLICKER)
 
 
 def test_a_steady_level_that_reads_back_lower_is_refused(light, bench) -> None:

@@ -21,6 +21,10 @@ def assert_equal(a, b):
         assert np.array_equal(ours, theirs), name
 
 
+def style(data):
+    return data[0] & 3
+
+
 def test_one_event_reads_as_its_bytes_say():
     data = encode(chunk([1_000_000], [3], [5], [1]))
     assert data[:12] == bytes([1 << 2 | 0]) + bytes(3) + (1_000_000).to_bytes(8, "little")
@@ -34,6 +38,37 @@ def test_one_event_reads_as_its_bytes_say():
 def test_runs_of_every_length_come_back(n):
     events = chunk([7] * n, [9] * n, [11] * n, [1] * n)
     assert_equal(decode(encode(events)), events)
+
+
+@pytest.mark.parametrize("step", [1, 14, 15, 16, 255, 256, 10**6, 2**40])
+def test_time_steps_of_every_size_come_back(step):
+    events = chunk(np.arange(50) * step, range(50), range(50), [0] * 50)
+    assert_equal(decode(encode(events)), events)
+
+
+@pytest.mark.parametrize(
+    ("few_rows", "packed_as", "bytes_each"),
+    [
+        pytest.param(False, 2, 4.01, id="24 bits and a time"),
+        pytest.param(True, 1, 2.6, id="few rows: 12 bits"),
+    ],
+)
+def test_scattered_events_are_packed_by_their_rows(few_rows, packed_as, bytes_each):
+    rng = np.random.default_rng(1)
+    y = np.arange(4001) // 50 if few_rows else rng.integers(0, 720, 4001)
+    events = chunk(np.arange(4001), rng.integers(0, 1280, 4001), y, rng.integers(0, 2, 4001))
+    data = encode(events)
+    assert style(data) == packed_as
+    assert len(data) < bytes_each * 4001
+    assert_equal(decode(data), events)
+
+
+def test_rows_of_neighbours_are_run_lengths():
+    events = chunk([5] * 4000, np.tile(np.arange(1000), 4), np.repeat(range(4), 1000), [1] * 4000)
+    data = encode(events)
+    assert style(data) == 0
+    assert len(data) < 0.4 * 4000
+    assert_equal(decode(data), events)
 
 
 def test_a_time_that_steps_back_becomes_its_predecessors():

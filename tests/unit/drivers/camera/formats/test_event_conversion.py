@@ -1,5 +1,12 @@
 """Files of events to files of events: the same events, whatever the way, and never half a file."""
 
+import os
+import zipfile
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,9 +17,11 @@ from drivers.camera.event_arrays import MAX_TIME_US, Events, Triggers, empty_eve
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.formats.event_conversion import KINDS, Evt3Encoder, convert
 from drivers.camera.raw_file import RawFile
-from drivers.errors import RecordingFileError
+from drivers.camera.raw_writer import new_file
+from drivers.errors import NotARecording, RecordingFileError
 from tests.support.made_event_files import drawn_stream, same
 
+NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
 HEADER = (
     b"% date 2026-03-01 12:00:00\n% format EVT3;height=720;width=1280\n% integrator_name Prophesee\n"
     b"% sensor_name IMX636\n% serial_number 00051234\n% end\n"
@@ -47,6 +56,18 @@ def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first
         streams = imported.events, imported.triggers
     assert same(streams[0], events)
     assert same(streams[1], triggers)
+
+
+def test_csv_is_read_again_with_its_size_and_the_unit_of_its_times_and_names_what_it_leaves_out(
+    raw, tmp_path
+):
+    written = convert(raw, tmp_path / "pose.csv", "csv")
+    assert (written.events, written.triggers, written.edges_left_out) == (5000, 0, 40)
+    imported = import_events(tmp_path / "pose.csv")
+    assert same(imported.events, drawn_stream()[0])
+    assert (imported.width, imported.height) == (1280, 720)
+    again = convert(tmp_path / "pose.csv", tmp_path / "again.npz", "numpy")
+    assert not again.assumed
 
 
 def test_a_converted_raw_file_says_so_and_keeps_whose_it_was(raw, tmp_path):
@@ -142,11 +163,57 @@ def test_what_evt3_has_no_bits_for_is_refused_not_cut_and_kept_in_hdf5(tmp_path,
     assert (ours.width, ours.height) == (theirs.width, theirs.height)
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "p", "words"),
+    [(2048, 0, 0, "column of 2048"), (0, 2048, 0, "row of 2048"), (0, 0, 2, "polarity of 2")],
+)
+def test_the_encoder_takes_no_event_that_would_become_another(x, y, p, words):
+    event = Events(np.zeros(1, np.int64), np.array([x], "u2"), np.array([y], "u2"), np.array([p], "u1"))
+    with pytest.raises(ValueError, match=words):
+        Evt3Encoder().words(event, empty_triggers(0))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_folder_that_is_not_there_is_told(tmp_path, kind):
+    with pytest.raises(RecordingFileError, match=r"none.out: .*no such folder"):
+        convert(npz(tmp_path / "a.npz"), tmp_path / "none" / "out", kind)
+
+
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "raw"])
 def test_a_recording_that_was_cut_off_is_converted_and_told(raw, tmp_path, kind):
     assert not convert(raw, tmp_path / "whole", kind).cut_off
     raw.write_bytes(raw.read_bytes()[:-1])
     assert convert(raw, tmp_path / "cut", kind).cut_off
+
+
+def numbers_for_events(path):
+    with h5py.File(path, "w") as file:
+        file.attrs["geometry"] = "1280x720"
+        file["CD/events"] = file["EXT_TRIGGER/events"] = np.arange(5)
+
+
+def text_for_arrays(path):
+    with zipfile.ZipFile(npz(path.with_suffix(".npz")), "r") as whole, zipfile.ZipFile(path, "w") as file:
+        file.writestr("size.npy", whole.read("size.npy"))
+        for name in ("t", "x", "y", "p"):
+            file.writestr(name, b"text")
+
+
+def endless_size(path):
+    with path.open("xb") as file:
+        np.savez(file, **dict.fromkeys("txyp", np.zeros(1, int)), size=np.array([np.inf, 720.0]))
+
+
+@pytest.mark.parametrize("write", [numbers_for_events, text_for_arrays, endless_size])
+def test_a_file_laid_out_otherwise_is_told_of_in_words(tmp_path, write):
+    write(tmp_path / "a.bin")
+    with pytest.raises(NotARecording, match="no readable events"):
+        import_events(tmp_path / "a.bin")
+
+
+def test_raw_to_raw_is_refused(raw, tmp_path):
+    with pytest.raises(NotARecording, match="RAW recording already"):
+        convert(raw, tmp_path / "again.raw", "raw")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -168,3 +235,23 @@ def test_an_interrupt_leaves_neither_a_file_nor_a_part_of_one(raw, tmp_path, kin
     with pytest.raises(KeyboardInterrupt):
         convert(tmp_path / "pose.npz", tmp_path / "out", kind, progress=interrupt)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pose.npz", "pose.raw"]
+
+
+def test_a_name_that_somebody_takes_meanwhile_is_theirs(tmp_path):
+    with ExitStack() as writing:
+        writing.enter_context(new_file(tmp_path / "a")).write_bytes(b"ours")
+        (tmp_path / "a").write_bytes(b"theirs")
+        with pytest.raises(RecordingFileError, match="file exists already"):
+            writing.pop_all().close()
+    assert (tmp_path / "a").read_bytes() == b"theirs"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_file_system_without_links_is_served_too(tmp_path, monkeypatch):
+    def no_links(*_):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(os, "link", no_links)
+    with new_file(tmp_path / "a") as part:
+        part.write_bytes(b"whole")
+    assert Path(tmp_path / "a").read_bytes() == b"whole"

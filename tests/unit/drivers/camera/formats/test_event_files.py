@@ -78,6 +78,22 @@ def test_a_metavision_file_is_laid_out_as_its_reader_expects(recording, tmp_path
         assert kind.get_cset() == h5py.h5t.CSET_ASCII
 
 
+def test_the_index_leads_to_the_events_of_a_time(recording, tmp_path):
+    path = tmp_path / "pose.h5"
+    convert(recording.path, path, "metavision")
+    t = recording.read()[0].t
+    with h5py.File(path) as file:
+        index = file["CD/indexes"][:]
+        offset = int(file["CD/indexes"].attrs["offset"])
+    assert offset == -t[0]
+    assert tuple(index[0]) == (0, -1)
+    assert len(index) == (t[-1] - t[0]) // 2000 + 2
+    for k, (event, since) in enumerate(index[1:]):
+        assert since == t[event] + offset
+        assert event == 0 or t[event - 1] + offset < since // 2000 * 2000
+        assert 2000 * k <= since < 2000 * (k + 1)
+
+
 def test_times_that_step_back_are_moved_and_counted_in_metavision_files_only(tmp_path):
     recording = make(tmp_path, [0x8001, 0x6014, 0x0005, 0x2001, 0x6010, 0x2002, 0x6020, 0x2003])
     assert convert(recording.path, tmp_path / "a.h5", "metavision").moved_events == 1
@@ -124,8 +140,36 @@ def test_a_metavision_file_that_lacks_a_part_is_told(recording, tmp_path, change
         import_events(tmp_path / "a.h5")
 
 
+def test_numpy_files_that_lack_a_part_or_hold_something_else_are_told(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, **dict.fromkeys("txyp", np.full(3, 0.5)), size=np.array([1280, 720]))
+    with pytest.raises(NotARecording, match="no whole numbers"):
+        import_events(path)
+    np.savez(path, t=np.zeros(3, int))
+    with pytest.raises(NotARecording, match="x is missing"):
+        import_events(path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(NotARecording):
+        import_events(path)
+
+
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n"])
 def test_a_file_that_holds_no_events_is_refused_by_name(tmp_path, content):
     (tmp_path / "a.h5").write_bytes(content)
     with pytest.raises(RecordingFileError, match=r"a\.h5"):
         import_events(tmp_path / "a.h5")
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(RecordingFileError, match="no such file"):
+        import_events(tmp_path / "none.h5")
+
+
+def test_a_group_where_the_events_belong_is_told(tmp_path):
+    path = tmp_path / "a.hdf5"
+    with h5py.File(path, "w") as file:
+        file.create_group("CD/events")
+        file.create_dataset("EXT_TRIGGER/events", data=np.zeros(0, [("p", "i2"), ("t", "i8"), ("id", "i2")]))
+        file.attrs["geometry"] = "1280x720"
+    with pytest.raises(NotARecording, match="is a group"):
+        import_events(path)

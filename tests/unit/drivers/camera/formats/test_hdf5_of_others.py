@@ -1,11 +1,14 @@
 """Events in HDF5 files of other programs: columns t, x, y and p, and Metavision without its table of edges."""
 
+import zipfile
+
 import h5py
 import numpy as np
 import pytest
 from imported import import_events
 
 from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.file_kinds import FORMS_OF_EVENTS
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraSoftwareMissing, NotARecording
@@ -71,6 +74,18 @@ def test_an_offset_of_times_is_added(written, offset, where, as_attribute):
     assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
+def test_a_small_offset_of_times_is_added_to_the_edges_too(written):
+    def fill(file):
+        columns(file.create_group("events"))
+        file["t_offset"] = 7000
+        for name, value in (("t", 41), ("value", 1), ("id", 0)):
+            file[f"triggers/{name}"] = np.array([value])
+
+    imported = written(fill)
+    assert_same(imported, -7000)
+    assert imported.triggers.t.tolist() == [7041]
+
+
 @pytest.mark.parametrize(
     ("times", "offsets"),
     [
@@ -98,6 +113,10 @@ def test_every_filter_of_the_plugin_is_read(written, filter_of_plugin):
     assert_since(written(lambda file: dsec(file, **getattr(plugin, filter_of_plugin)())), YEAR_2020_US)
 
 
+def test_a_filter_of_hdf5_itself_is_read(written):
+    assert_since(written(lambda file: dsec(file, compression="lzf")), YEAR_2020_US)
+
+
 def test_a_filter_that_is_not_installed_is_named_with_the_package(tmp_path, monkeypatch):
     plugin = pytest.importorskip("hdf5plugin")
     with h5py.File(tmp_path / "events.h5", "w") as file:
@@ -106,6 +125,32 @@ def test_a_filter_that_is_not_installed_is_named_with_the_package(tmp_path, monk
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(CameraSoftwareMissing, match=r"filter 32001 .*pip install 'starbench\[formats\]'"):
         import_events(tmp_path / "events.h5", SIZED)
+
+
+def test_chunks_that_were_never_written_are_not_read_as_zeros(written):
+    def fill(file):
+        columns(file.create_group("events"))
+        del file["events/t"]
+        file.create_dataset("events/t", (N,), "i8", chunks=(100,), compression="lzf")
+        file["events/t"][:200] = ROWS["t"][:200]
+
+    with pytest.raises(NotARecording, match="2 of the 12 chunks"):
+        written(fill)
+
+
+def test_columns_at_the_root_whose_times_count_from_1970_begin_near_0(written):
+    """e2calib writes them so."""
+
+    def fill(file):
+        columns(file, compression="gzip")
+        del file["t"]
+        file["t"] = ROWS["t"] + YEAR_2020_US
+
+    imported = written(fill)
+    origin_us = int(imported.header["time_origin_us"])
+    assert_same(imported, origin_us - YEAR_2020_US)
+    assert imported.events.t[0] < 2_000_000
+    assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
 def two_cameras(file):
@@ -144,6 +189,15 @@ def test_floating_times_are_in_seconds_if_they_have_fractions(written, names, un
     assert_same(written(fill))
 
 
+def test_columns_of_undistorted_events_are_refused(written):
+    def fill(file):
+        columns(file.create_group("events"), kinds=("i8", "f4", "f4", "u1"))
+        file["events/x"][3] = 7.5
+
+    with pytest.raises(NotARecording, match="no whole numbers"):
+        written(fill)
+
+
 def metavision(file):
     table = np.zeros(N, [("x", "u2"), ("y", "u2"), ("p", "i2"), ("t", "i8")])
     for name in "xypt":
@@ -163,9 +217,53 @@ def test_metavision_without_edges_and_without_a_size_is_read(written, has_group)
     assert len(imported.triggers.t) == 0
 
 
+def test_a_size_of_metavision_is_found_where_a_header_states_it(written):
+    def fill(file):
+        metavision(file)
+        file.attrs["format"] = "EVT3;height=260;width=346"
+
+    imported = written(fill, ReadingChoices())
+    assert (imported.width, imported.height) == SIZE
+
+
+def test_our_own_layout_without_edges_states_its_size(written):
+    def fill(file):
+        columns(file.create_group("events"))
+        file.attrs.update(width=SIZE[0], height=SIZE[1])
+
+    imported = written(fill, ReadingChoices())
+    assert_same(imported)
+    assert (imported.width, imported.height) == SIZE
+
+
+def test_a_size_beside_the_columns_is_that_of_the_sensor(written):
+    def fill(file):
+        group = file.create_group("events")
+        columns(group)
+        group.attrs.update(width=SIZE[0], height=SIZE[1])
+
+    imported = written(fill, ReadingChoices())
+    assert_same(imported)
+    assert (imported.width, imported.height) == SIZE
+    with pytest.raises(NotARecording, match="contradict each other"):
+        written(fill, ReadingChoices((1280, 720)))
+
+
 def test_a_file_without_any_stream_says_so():
     with pytest.raises(NotARecording, match="no stream of events"):
         ReadingChoices().chosen([])
+
+
+def test_a_missing_size_is_told_with_the_way_to_state_it(written):
+    with pytest.raises(NotARecording, match=r"--sensor-size.*--image-size"):
+        written(dsec, ReadingChoices())
+
+
+@pytest.mark.parametrize("shape", [(N, 4), (4, N), (2, 3)])
+def test_arrays_without_names_are_refused_with_the_forms_that_are_read(written, shape):
+    with pytest.raises(NotARecording, match="holds left/events") as caught:
+        written(lambda file: file.create_dataset("left/events", data=np.zeros(shape)))
+    assert caught.value.remedy == FORMS_OF_EVENTS
 
 
 def test_a_file_of_others_becomes_a_recording(written, tmp_path):
@@ -174,3 +272,17 @@ def test_a_file_of_others_becomes_a_recording(written, tmp_path):
     recording = RawFile.open(tmp_path / "a.raw")
     events, _ = recording.read()
     assert np.array_equal(events.t + int(recording.header["time_origin_us"]), ROWS["t"] + YEAR_2020_US)
+
+
+def test_a_zip_archive_of_other_things_is_told_as_what_it_is(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("events.raw", b"% evt 3.0")
+    with pytest.raises(NotARecording, match="zip archive without"):
+        import_events(tmp_path / "a.npz")
+
+
+def test_an_npz_of_columns_alone_is_read(tmp_path):
+    np.savez(tmp_path / "a.npz", **ROWS)
+    assert_same(import_events(tmp_path / "a.npz", SIZED))
+    with pytest.raises(NotARecording, match="--sensor-size"):
+        import_events(tmp_path / "a.npz")

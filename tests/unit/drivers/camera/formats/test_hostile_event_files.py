@@ -13,7 +13,8 @@ from imported import import_events
 from drivers.camera.formats.event_conversion import write_raw
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.hdf5_reading import MOST_CHUNK_BYTES
-from drivers.errors import NotARecording, RecordingFileError
+from drivers.camera.raw_check import require_whole
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 N = 3000
 COLUMNS = {"t": "i8", "x": "u2", "y": "u2", "p": "u1"}
@@ -130,6 +131,22 @@ def test_a_file_is_read_from_its_own_bytes_only(victim, spoil):
         import_events(path)
 
 
+@pytest.mark.parametrize("where", ["CD", "EXT_TRIGGER", "CD/events"])
+def test_a_metavision_file_does_not_point_elsewhere_either(victim, where):
+    table = np.zeros(N, [("x", "u2"), ("y", "u2"), ("p", "i2"), ("t", "i8")])
+    for name in ("secret.h5", "a.hdf5"):
+        with h5py.File(victim / name, "w") as file:
+            file.attrs["geometry"] = "1280x720"
+            file["CD/events"] = table
+            file["EXT_TRIGGER/events"] = np.zeros(0, [("p", "i2"), ("t", "i8"), ("id", "i2")])
+    assert len(import_events(victim / "a.hdf5").events.t) == N
+    with h5py.File(victim / "a.hdf5", "a") as file:
+        del file[where]
+        file[where] = h5py.ExternalLink("secret.h5", where)
+    with pytest.raises(NotARecording, match="link"):
+        import_events(victim / "a.hdf5")
+
+
 def test_three_hundred_million_rows_in_a_small_file_are_refused_before_they_are_read(tmp_path):
     n = 300_000_000
     with plain(tmp_path / "a.h5", events=False) as file:
@@ -137,6 +154,33 @@ def test_three_hundred_million_rows_in_a_small_file_are_refused_before_they_are_
             file.create_dataset(f"events/{name}", (n,), kind, chunks=(1 << 20,), compression=9)
             file[f"events/{name}"].id.write_direct_chunk((0,), zlib.compress(bytes(1 << 20)))
     with pytest.raises(NotARecording, match=r"states 2400000000 bytes in .*cannot be compressed so far"):
+        import_events(tmp_path / "a.h5")
+
+
+def test_a_chunk_may_be_stored_without_its_filters(tmp_path):
+    values = np.arange(N, dtype="i8") % 2
+    with plain(tmp_path / "a.h5") as file:
+        del file["events/t"]
+        column = file.create_dataset("events/t", (N,), "i8", chunks=(N // 2,), compression=9, shuffle=True)
+        column.id.write_direct_chunk((0,), values[: N // 2].tobytes(), filter_mask=3)
+        column[N // 2 :] = values[N // 2 :]
+    assert np.array_equal(import_events(tmp_path / "a.h5").events.t, values)
+
+
+def test_check_sums_and_every_order_of_filters_are_read(tmp_path):
+    values = np.sort(np.random.default_rng(1).integers(0, 2**36, N))
+    with plain(tmp_path / "a.h5") as file:
+        del file["events/t"]
+        file.create_dataset(
+            "events/t", data=values, chunks=(700,), compression=3, shuffle=True, fletcher32=True
+        )
+    assert np.array_equal(import_events(tmp_path / "a.h5").events.t, values)
+
+
+def test_too_many_attributes_and_long_ones_are_refused(tmp_path):
+    with plain(tmp_path / "a.h5") as file:
+        file["header"].attrs["note"] = "x" * 5000
+    with pytest.raises(NotARecording, match="attribute 'note'"):
         import_events(tmp_path / "a.h5")
 
 
@@ -190,7 +234,33 @@ def test_an_array_that_states_more_than_its_file_holds_is_refused(tmp_path):
         import_events(tmp_path / "b.npz")
 
 
+def test_an_archive_of_very_many_other_files_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        for number in range(15_000):
+            file.writestr(f"{number:060d}.npy", b"")
+    with pytest.raises(NotARecording, match="t is missing"):
+        import_events(tmp_path / "a.npz")
+
+
 # ---------------------------------------------------------------- any file
+
+
+def test_a_file_with_holes_is_incomplete(tmp_path):
+    path = tmp_path / "a.h5"
+    plain(path).close()
+    require_whole(path)
+    with path.open("ab") as file:
+        file.truncate(10 << 30)
+    with pytest.raises(RecordingCorrupt, match="were never written") as caught:
+        import_events(path)
+    assert caught.value.offset < 1 << 20
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_a_pipe_and_a_folder_are_no_files(tmp_path, make):
+    make(tmp_path / "a.h5")
+    with pytest.raises(NotARecording, match="not a file"):
+        import_events(tmp_path / "a.h5")
 
 
 def test_events_are_read_and_written_piece_by_piece(tmp_path, monkeypatch):

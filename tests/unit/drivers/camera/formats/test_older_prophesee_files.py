@@ -7,12 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from imported import import_events
-from made_event_files import EVT2_HEAD, assert_same, dat_rows, evt2_words, evt21_words, some_events
+from made_event_files import DAT_HEAD, EVT2_HEAD, assert_same, dat_rows, evt2_words, evt21_words, some_events
 
+from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats.event_conversion import convert
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.prophesee_words import Evt2Decoder
 from drivers.camera.raw_check import WORD_BYTES
+from drivers.camera.raw_file import RawFile
 from drivers.errors import NotARecording
+
+ORIGIN_US = 1_700_000_000_000_000
 
 
 def test_evt2_by_hand(tmp_path):
@@ -36,6 +41,17 @@ def test_evt2_by_hand(tmp_path):
     assert (edges.t.tolist(), edges.value.tolist(), edges.id.tolist()) == ([134], [1], [1])
 
 
+def test_files_written_by_faery(tmp_path):
+    faery = pytest.importorskip("faery")
+    rows = some_events()
+    stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(640, 480))
+    path = tmp_path / "a.raw"
+    stream.to_file(path, version="evt2")
+    imported = import_events(path)
+    assert (imported.width, imported.height) == (640, 480)
+    assert_same(imported, rows, origin_us=int(rows["t"][0]) - int(imported.events.t[0]))
+
+
 @pytest.mark.parametrize("kind", ["evt2", "dat"])
 def test_another_reader_finds_the_same_events(tmp_path, kind):
     expelliarmus = pytest.importorskip("expelliarmus", reason="pip install expelliarmus")
@@ -53,6 +69,18 @@ def test_another_reader_finds_the_same_events(tmp_path, kind):
     assert_same(imported, rows)
     for name in "txyp":
         assert np.array_equal(theirs[name], getattr(imported.events, name))
+
+
+def test_events_before_the_first_time_of_evt2_are_dropped(tmp_path):
+    """A stream may be joined in its middle."""
+    path = tmp_path / "a.raw"
+    path.write_bytes(evt2_words(0x1000_0000 | 9 << 11, 0xA000_0001, 0x8000_0002, 0x1000_0000 | 3 << 11 | 7))
+    imported = import_events(path)
+    assert (imported.events.t.tolist(), imported.events.x.tolist(), len(imported.triggers.t)) == (
+        [128],
+        [3],
+        0,
+    )
 
 
 @pytest.mark.parametrize("order", ["little", "legacy"])
@@ -98,6 +126,28 @@ def dat_head(version, kind=0x0C, size=True):
     return (lines + ("% Height 240\n% Width 304\n" if size else "")).encode() + bytes([kind, 8])
 
 
+@pytest.mark.parametrize("version", ["1", ""])
+def test_version_1_of_dat_has_another_layout(tmp_path, version):
+    rows = some_events(600)
+    rows["x"], rows["y"] = rows["x"] % 304, rows["y"] % 240
+    table = np.zeros((len(rows), 2), "<u4")
+    table[:, 0] = rows["t"]
+    table[:, 1] = rows["x"] | rows["y"].astype("u4") << 9 | rows["on"].astype("u4") << 17
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_head(version) + table.tobytes())
+    assert_same(import_events(path), rows)
+
+
+def test_a_dat_file_without_a_size_is_read_with_one_that_is_given(tmp_path):
+    rows, path = some_events(50), tmp_path / "a.dat"
+    path.write_bytes(dat_head(2, size=False) + dat_rows(rows)[len(DAT_HEAD) + 2 :])
+    with pytest.raises(NotARecording, match="--sensor-size"):
+        import_events(path)
+    assert_same(import_events(path, ReadingChoices((640, 480))), rows)
+    with pytest.raises(NotARecording, match="30 x 30 px"):
+        import_events(path, ReadingChoices((30, 30)))
+
+
 def test_a_dat_file_of_edges_and_one_of_an_unknown_version_are_named(tmp_path):
     path = tmp_path / "a.dat"
     path.write_bytes(dat_head(2, kind=0x0E) + bytes(16))
@@ -114,6 +164,15 @@ def test_dat_times_go_on_where_their_counter_turns_over(tmp_path):
     path = tmp_path / "a.dat"
     path.write_bytes(dat_rows(rows))
     assert_same(import_events(path), rows)
+
+
+def test_evt2_is_converted_and_read_as_evt3(tmp_path):
+    path, raw = tmp_path / "a.raw", tmp_path / "b.raw"
+    path.write_bytes(evt2_words(0x8000_0002, 0x1000_0000 | 3 << 11 | 7, 0xA000_0001))
+    written = convert(path, raw, "raw")
+    assert (written.events, written.triggers) == (1, 1)
+    events, triggers = RawFile.open(raw).read()
+    assert (events.t.tolist(), events.x.tolist(), triggers.t.tolist()) == ([128], [3], [128])
 
 
 def test_memory_is_bounded_whatever_the_size(tmp_path):

@@ -1,6 +1,7 @@
 """Recordings of other programs: AEDAT4, ROS bags; each written by a program nobody here wrote."""
 
-from contextlib import suppress
+import sqlite3
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from made_event_files import DAT_HEAD, assert_same, dat_rows, evt2_words, evt21_
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.raw_file import RawFile
-from drivers.errors import NotARecording, RecordingFileError
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 ORIGIN_US = 1_700_000_000_000_000
 
@@ -136,6 +137,46 @@ def test_bags_of_both_versions(tmp_path, version, kind):
     assert imported.header["ros_topic"] == "/events"
 
 
+def without_definitions(folder):
+    """A bag of ROS 2 before Iron, which knows the names of its messages alone."""
+    with closing(sqlite3.connect(next(folder.glob("*.db3")))) as database:
+        database.execute("delete from message_definitions")
+        database.commit()
+    return folder
+
+
+@pytest.mark.parametrize("package", ["dvs_msgs", "prophesee_event_msgs"])
+def test_bags_without_definitions_are_read_where_the_messages_are_known(tmp_path, package):
+    rows = some_events(60)
+    name = f"{package}/msg/EventArray"
+    imported = import_events(without_definitions(bag(tmp_path / "a", 2, rows, "struct", name=name)))
+    assert_same(imported, rows, int(imported.header["time_origin_us"]) - ORIGIN_US)
+
+
+def test_a_bag_without_definitions_of_unknown_messages_is_not_called_damaged(tmp_path):
+    name = "own_msgs/msg/EventArray"
+    rows = some_events(20)
+    whole = bag(tmp_path / "a", 2, rows, "struct", name=name)
+    assert len(import_events(whole).events.t) == 20
+    with pytest.raises(NotARecording, match=f"{name}.*ros2 bag convert"):
+        import_events(without_definitions(whole))
+
+
+def test_the_date_of_aedat4_stands_in_a_converted_recording_and_nothing_else(tmp_path):
+    pytest.importorskip("aedat")
+    aedat4_file(tmp_path / "a.aedat4", some_events(200), [(100, 1)])
+    convert(tmp_path / "a.aedat4", tmp_path / "a.raw", "raw")
+    header = RawFile.open(tmp_path / "a.raw").header
+    assert header == {
+        "date": "2023-11-14 22:13:20",
+        "time_origin_us": str(ORIGIN_US - 1_000_000),
+        "evt": "3.0",
+        "format": "EVT3;height=480;width=640",
+        "geometry": "640x480",
+        "converted_from": "a.aedat4; not the bytes of a camera",
+    }
+
+
 def test_one_of_two_streams_of_aedat4_is_chosen(tmp_path):
     dv = pytest.importorskip("dv_processing")
     pytest.importorskip("aedat")
@@ -152,6 +193,12 @@ def test_one_of_two_streams_of_aedat4_is_chosen(tmp_path):
         import_events(tmp_path / "a.aedat4")
     streams = [import_events(tmp_path / "a.aedat4", ReadingChoices(stream=name)) for name in ("0", "1")]
     assert [(stream.width, len(stream.events.t)) for stream in streams] == [(640, 30), (346, 20)]
+
+
+def test_the_older_name_of_event_packets_is_read(tmp_path):
+    rows = some_events(500)
+    path = bag(tmp_path / "a.bag", 1, rows, "evt21", name="event_array_msgs/msg/EventArray")
+    assert_same(import_events(path), rows)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -203,6 +250,19 @@ def test_a_file_of_a_ros_2_bag_stands_for_its_folder(tmp_path):
     folder = bag(tmp_path / "a", 2, rows, "evt21")
     file = next(folder.glob("*.db3"))
     assert len(import_events(file).events.t) == 50
+
+
+def test_an_encoding_that_cannot_be_read_is_named(tmp_path):
+    path = bag(tmp_path / "a.bag", 1, some_events(5), "libcaer_cmp")
+    with pytest.raises(RecordingFileError, match="'libcaer_cmp'"):
+        import_events(path)
+
+
+def test_malformed_words_in_a_bag_are_told_with_their_place_once(tmp_path):
+    path = bag(tmp_path / "a.bag", 1, some_events(5), "evt3")
+    with pytest.raises(RecordingCorrupt, match=r"640 x 480 px \(byte 30\)") as caught:
+        import_events(path)
+    assert caught.value.offset == 30
 
 
 # ------------------------------------------------------------ hostile files

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from drivers.camera.event_arrays import Triggers
+from drivers.camera.formats import parquet_export
 from drivers.camera.formats.event_conversion import Evt3Encoder, convert
-from drivers.errors import CameraSoftwareMissing
+from drivers.errors import CameraSoftwareMissing, RecordingFileError
 from tests.support.made_event_files import drawn_stream, same
 
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -37,6 +38,20 @@ def test_columns_and_metadata_hold_what_was_recorded(raw, tmp_path, monkeypatch)
     assert json.loads(stated[b"header"])["serial_number"] == "00051234"
     edges = json.loads(stated[b"triggers"])
     assert same([np.array(edges[name]) for name in Triggers._fields], triggers)
+
+
+def test_pandas_reads_the_file(raw, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    convert(raw, tmp_path / "pose.parquet", "parquet")
+    frame = pandas.read_parquet(tmp_path / "pose.parquet")
+    assert same([frame[name].to_numpy() for name in "txyp"], drawn_stream()[0])
+
+
+def test_more_edges_than_metadata_should_hold_are_refused(raw, tmp_path, monkeypatch):
+    monkeypatch.setattr(parquet_export, "MOST_EDGES", 39)
+    with pytest.raises(RecordingFileError, match="39 trigger edges; here are 40"):
+        convert(raw, tmp_path / "pose.parquet", "parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["pose.raw"]
 
 
 def test_without_pyarrow_the_remedy_is_named(raw, tmp_path, monkeypatch):

@@ -6,9 +6,10 @@ from imported import import_events
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.file_kinds import FORMS_OF_EVENTS
+from drivers.camera.formats import table_files
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.formats.event_files import open_events
-from drivers.errors import NotARecording
+from drivers.errors import NotARecording, RecordingFileError
 
 N = 3000
 WIDTH, HEIGHT = 640, 480
@@ -57,11 +58,25 @@ def test_one_array_holds_the_events(tmp_path, table, ending):
     assert_same(import_events(path, SIZED))
 
 
+def test_columns_of_an_archive_may_have_long_names_and_times_in_seconds(tmp_path):
+    np.savez(tmp_path / "a.npz", timestamp=ROWS["t"], x=ROWS["x"], y=ROWS["y"], polarity=ROWS["p"])  # BS-ERGB
+    assert_same(import_events(tmp_path / "a.npz", SIZED))
+    floats = {name: values.astype("f8") for name, values in ROWS.items()}
+    np.savez(tmp_path / "b.npz", **{**floats, "t": floats["t"] * 1e-6})
+    assert_same(import_events(tmp_path / "b.npz", SIZED))
+
+
 def test_one_of_several_arrays_is_chosen(tmp_path):
     np.savez(tmp_path / "a.npz", left=named_table(*"txyp"), right=named_table(*"txyp")[:5])
     with pytest.raises(NotARecording, match="2 streams of events: left, right"):
         import_events(tmp_path / "a.npz", SIZED)
     assert_same(import_events(tmp_path / "a.npz", ReadingChoices((WIDTH, HEIGHT), "left")))
+
+
+def test_an_array_of_other_things_is_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((4, 7)))
+    with pytest.raises(NotARecording, match="array of 4 x 7"):
+        import_events(tmp_path / "a.npy", SIZED)
 
 
 # ------------------------------------------------------------ text
@@ -98,6 +113,22 @@ def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
     assert_same(import_events(text(tmp_path / "a.txt", head, order, separator, unit), SIZED))
 
 
+def test_blank_lines_behind_the_events_are_none(tmp_path, monkeypatch):
+    """Events in pieces of a third of the file, so that the blank lines stand alone at the end."""
+    monkeypatch.setattr(table_files, "PIECE_EVENTS", N // 3)
+    path = text(tmp_path / "a.txt", "", "txyp", " ")
+    path.write_text(path.read_text() + "\n\n")
+    pieces = [events for events, _ in table_files.from_text(path, SIZED).pieces()]
+    assert [len(events.t) for events in pieces] == [N // 3] * 3
+
+
+def test_text_of_pandas_has_an_index_and_words_for_polarities(tmp_path):
+    rows = zip(*(ROWS[name] for name in "txyp"), strict=True)
+    lines = [f"{k},{t},{x},{y},{bool(p)}" for k, (t, x, y, p) in enumerate(rows)]
+    (tmp_path / "a.csv").write_text("\n".join([",t,x,y,p", *lines]))
+    assert_same(import_events(tmp_path / "a.csv", SIZED))
+
+
 @pytest.mark.parametrize(
     "text_of_others",
     [
@@ -115,6 +146,12 @@ def test_text_of_other_layouts_is_refused_with_the_forms_that_are_read(tmp_path,
     with pytest.raises(NotARecording) as caught:
         import_events(tmp_path / "a.csv", SIZED)
     assert caught.value.remedy == FORMS_OF_EVENTS
+
+
+@pytest.mark.parametrize("order", ["xytp", "xypt", "ptxy"])
+def test_text_without_names_in_another_order_is_not_read(tmp_path, order):
+    with pytest.raises(RecordingFileError):
+        import_events(text(tmp_path / "a.txt", "", order, " "), SIZED)
 
 
 def test_text_without_a_size_or_with_a_torn_line_is_refused(tmp_path):
@@ -151,6 +188,12 @@ def test_a_comment_above_the_events_names_no_column_beyond_the_last(tmp_path, he
     assert_same(import_events(text(tmp_path / "a.txt", head, "txyp", " "), SIZED))
 
 
+def test_delimiters_behind_the_last_column_are_none(tmp_path):
+    path = text(tmp_path / "a.csv", "", "txyp", ",")
+    path.write_text(path.read_text().replace("\n", ",\n"))
+    assert_same(import_events(path, SIZED))
+
+
 @pytest.mark.parametrize(
     ("head", "row", "time_us"),
     [
@@ -167,6 +210,14 @@ def test_names_of_all_columns_are_used_although_a_row_has_fewer_cells(tmp_path, 
     assert (events.t[1] - events.t[0], events.x[0], events.y[0]) == (per_us, 137, 582)
 
 
+@pytest.mark.parametrize("labels", [("car", "", "7"), ("car", "dog", ""), ("", "car", "dog")])
+def test_a_label_of_text_takes_no_event_away(tmp_path, labels):
+    rows = [f"{1000 + k},582,137,0,{label}" for k, label in enumerate(labels)]
+    (tmp_path / "a.csv").write_text("\n".join(["t_ms,y,x,p,label", *rows]) + "\n")
+    events = import_events(tmp_path / "a.csv", ReadingChoices((1280, 720))).events
+    assert (len(events.t), set(events.x), set(events.y)) == (3, {137}, {582})
+
+
 # ------------------------------------------------------------ Parquet
 
 
@@ -179,3 +230,13 @@ def test_what_is_written_as_parquet_is_read_again_with_its_edges(tmp_path):
     imported = import_events(tmp_path / "a.parquet")
     assert_same(imported)
     assert imported.triggers.t.tolist() == [800, 900]
+
+
+def test_parquet_without_polarities_is_refused(tmp_path):
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(pa.table({name: ROWS[name] for name in "txy"}), tmp_path / "a.parquet")
+    with pytest.raises(NotARecording, match="no column p"):
+        import_events(tmp_path / "a.parquet", SIZED)
+    (tmp_path / "b.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:500])
+    with pytest.raises(NotARecording, match="damaged"):
+        import_events(tmp_path / "b.parquet", SIZED)

@@ -6,6 +6,7 @@ import pytest
 from imported import import_events
 
 from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats import event_conversion
 from drivers.errors import NotARecording
 
 N = 2000
@@ -58,3 +59,16 @@ def test_a_counter_of_32_bits_goes_on_where_it_turns_over(tmp_path):
     begun = 2**32 - 5_400_000
     imported = import_events(hdf5(tmp_path, t=(ROWS["t"] + begun).astype("u4")), SIZED)
     assert np.array_equal(imported.events.t, ROWS["t"] + begun)
+
+
+def test_times_that_cannot_be_us_are_refused(tmp_path):
+    with pytest.raises(NotARecording, match=r"12 days.* in us"):
+        import_events(hdf5(tmp_path, t=ROWS["t"] + 0.5), SIZED)
+    with pytest.raises(NotARecording, match=r"year 2100.* in ns"):
+        import_events(npz(tmp_path, t=ROWS["t"] * 1000 + 1_600_000_000_000_000_000), SIZED)
+
+
+def test_a_conversion_tells_how_long_the_recording_is(tmp_path):
+    """Times in ns look like a recording that is a thousand times as long."""
+    written = event_conversion.convert(npz(tmp_path), tmp_path / "b.h5", "hdf5", SIZED)
+    assert written.span_us == ROWS["t"][-1] - ROWS["t"][0]

@@ -55,12 +55,27 @@ def test_times_in_another_unit_are_refused_and_read_once_it_is_said(tmp_path, ma
     assert np.abs(t_us - T_US).max() <= (999 if t.max() == 200 else 1)
 
 
+@pytest.mark.parametrize("scale", [1000, 1e-3])
+def test_few_events_in_another_unit_are_refused_too(tmp_path, scale):
+    few = {name: values[::100] for name, values in OTHERS.items()}
+    np.savez(tmp_path / "a.npz", t=T_US[::100] * scale, **few)
+    with pytest.raises(NotARecording, match="unit"):
+        import_events(tmp_path / "a.npz", ReadingChoices(SIZE))
+
+
 @pytest.mark.parametrize("t", [T_US, T_US * 1e-6, T_US.astype("f8")])
 def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
     with open_events(npz(tmp_path, t), ReadingChoices(SIZE)) as source:
         t_us = np.concatenate([events.t for events, _ in source.pieces()])
         assert source.assumed == {"time_unit": "s" if t.max() < 1000 else "us"}
     assert np.array_equal(t_us, T_US)
+
+
+@pytest.mark.parametrize("rate", [0.006, 150.0])
+def test_rates_between_rest_and_flicker_are_read(tmp_path, rate):
+    span_us = 1e6 * N / (SIZE[0] * SIZE[1] * rate)
+    t = np.linspace(0, span_us, N).astype(int)
+    assert np.array_equal(import_events(npz(tmp_path, t), ReadingChoices(SIZE)).events.t, t)
 
 
 @pytest.mark.parametrize("given", ["us", "ms", "s"])
@@ -73,6 +88,23 @@ def test_a_given_unit_is_compared_with_the_rate_of_events(tmp_path, given):
     assert np.array_equal(import_events(tmp_path / "a.npz", ReadingChoices(SIZE)).events.t, t)
 
 
+def test_times_in_us_with_parts_of_a_us_are_told_by_every_unit_that_fits(tmp_path):
+    """As of seconds times 1e6: 0.2 s; the 0.0002 s of ns would fit the rate too, but not parts of a ns."""
+    few = {name: values[::3] for name, values in OTHERS.items()}
+    np.savez(tmp_path / "a.npz", t=(T_US + FRACTIONS / 1000)[::3], **few)
+    with pytest.raises(NotARecording, match=r"probably in us.*--time-unit us\.$"):
+        import_events(tmp_path / "a.npz", ReadingChoices(SIZE))
+    with pytest.raises(NotARecording, match=r"parts of a ns.*probably in us"):
+        import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="ns"))
+    t_us = import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="us")).events.t
+    assert np.abs(t_us - T_US[::3]).max() <= 1
+
+
+def test_units_that_fit_alike_are_offered_in_the_order_of_their_rates(tmp_path):
+    with pytest.raises(NotARecording, match=r"--time-unit us, or ns\."):
+        import_events(npz(tmp_path, np.linspace(0, 1.3e6, N) // 1), ReadingChoices(SIZE, time_unit="ms"))
+
+
 def test_a_layout_whose_times_are_in_us_needs_no_guess(tmp_path):
     """Those that add an offset, and Starbench's own, at any rate."""
     t = T_US * 1000
@@ -81,6 +113,12 @@ def test_a_layout_whose_times_are_in_us_needs_no_guess(tmp_path):
     convert(path, tmp_path / "b.npz", "numpy", ReadingChoices(SIZE, time_unit="us"))
     convert(tmp_path / "b.npz", tmp_path / "c.h5", "hdf5", ReadingChoices())
     assert np.array_equal(import_events(tmp_path / "c.h5").events.t, t)
+
+
+@pytest.mark.parametrize("name", ["timestamp_ns", "t_nsec", "Time (nanoseconds)"])
+def test_the_name_of_a_column_states_the_unit(tmp_path, name):
+    np.savez(tmp_path / "a.npz", **{name: T_US * 1000, **OTHERS})
+    assert np.array_equal(import_events(tmp_path / "a.npz", ReadingChoices(SIZE)).events.t, T_US)
 
 
 def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
@@ -100,6 +138,13 @@ def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, uni
     imported = import_events(path, ReadingChoices(SIZE, time_unit=unit))
     assert np.abs(imported.events.t - imported.events.t[0] - (T_US - T_US[0])).max() <= 1
     assert imported.header["date"] == "2020-09-13 12:26:40"
+
+
+def test_times_that_are_no_numbers_are_told(tmp_path):
+    t = T_US * 1e-6
+    t[7] = np.nan
+    with pytest.raises(NotARecording, match="times are no numbers"):
+        import_events(npz(tmp_path, t), ReadingChoices(SIZE))
 
 
 @pytest.mark.parametrize(("size", "is_told"), [((1280, 720), True), ((640, 480), False), ((640, 720), False)])

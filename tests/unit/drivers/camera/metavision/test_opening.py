@@ -2,6 +2,8 @@
 
 import os
 import sys
+from datetime import UTC, datetime
+from types import ModuleType
 
 import pytest
 
@@ -9,14 +11,16 @@ from drivers.camera import FoundCamera, metavision_discovery
 from drivers.camera import metavision as metavision_driver
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.metavision_discovery import discover
+from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.errors import (
     CameraBusy,
     CameraError,
     CameraNotFound,
     CameraSettingRefused,
     CameraSoftwareMissing,
+    WrongDevice,
 )
-from tests.unit.drivers.camera.metavision.fake_hal import SERIAL
+from tests.unit.drivers.camera.metavision.fake_hal import SERIAL, Device
 
 
 def test_missing_software_is_told_with_how_to_get_it(monkeypatch, clock):
@@ -42,9 +46,21 @@ def test_a_camera_that_is_not_there_is_told_with_those_that_are(clock):
         MetavisionEvk4.open(serial="00099999", clock=clock)
 
 
+def test_no_camera_at_all_is_told(devices, clock):
+    devices.clear()
+    with pytest.raises(CameraNotFound, match="cameras: none"):
+        MetavisionEvk4.open(clock=clock)
+
+
 def test_the_vendors_reason_for_not_opening_is_passed_on(devices, clock):
     devices[SERIAL] = RuntimeError("\n------\nMetavision HAL exception\n\nError 103000: device busy\n")
     with pytest.raises(CameraNotFound, match=r"Cannot open camera [0-9]+ \(Error 103000: device busy\)"):
+        MetavisionEvk4.open(serial=SERIAL, clock=clock)
+
+
+def test_another_camera_under_that_name_is_refused(devices, clock):
+    devices[SERIAL] = Device("00077777")
+    with pytest.raises(WrongDevice, match="camera 00077777, not 00051234"):
         MetavisionEvk4.open(serial=SERIAL, clock=clock)
 
 
@@ -68,6 +84,12 @@ def test_a_camera_is_free_again_after_closing_and_after_a_failed_opening(devices
     first_found.close()
 
 
+def test_the_other_driver_of_the_same_camera_is_kept_out_too(camera, clock, monkeypatch):
+    monkeypatch.setitem(sys.modules, "neuromorphic_drivers", ModuleType("neuromorphic_drivers"))
+    with pytest.raises(CameraBusy):
+        NeuromorphicEvk4.open(serial=SERIAL, clock=clock, utc_now=lambda: datetime.now(UTC))
+
+
 def test_a_camera_that_does_not_send_evt3_is_refused(device, devices, clock):
     device.facilities["hw_identification"].encoding = "EVT21"
     with pytest.raises(CameraSettingRefused, match="EVT21, not EVT3"):
@@ -78,6 +100,13 @@ def test_identity_is_what_the_camera_says(camera):
     identity = camera.identify()
     assert (identity.maker, identity.model, identity.sensor) == ("Prophesee", "EVK4", "IMX636")
     assert (identity.serial, identity.firmware, identity.width) == (SERIAL, "3.9.0", 1280)
+
+
+def test_a_closed_camera_is_told_as_such(camera):
+    camera.close()
+    with pytest.raises(metavision_driver.CameraError, match="cannot be reached"):
+        camera.identify()
+    assert camera.temperature_c() is None
 
 
 @pytest.mark.parametrize(
@@ -94,6 +123,14 @@ def test_a_camera_on_usb_2_is_refused_when_it_is_opened(devices, clock, monkeypa
         MetavisionEvk4.open(serial=SERIAL, clock=clock)
     assert "USB 3" in caught.value.remedy
     monkeypatch.undo()
+
+
+def test_the_connection_and_the_firmware_are_kept_in_the_identity(camera, devices, monkeypatch):
+    identity = camera.identify()
+    assert (identity.link_mbit_s, identity.firmware_built) == (5000, "Thu Jan  5 10:11:12 2023")
+    identification = devices[SERIAL].facilities["hw_identification"]
+    monkeypatch.setattr(type(identification), "get_system_info", lambda _self: {"EVK4 Speed": "0"})
+    assert (camera.identify().link_mbit_s, camera.identify().firmware_built) == (None, "")
 
 
 OLD = (
@@ -132,6 +169,34 @@ def test_a_firmware_that_is_too_old_is_named_at_each_opening(clock, capfd):
         MetavisionEvk4.open(serial="00099999", clock=clock)
 
 
+@pytest.mark.usefixtures("old_firmware")
+def test_a_camera_with_an_old_firmware_is_listed_with_its_trouble(capfd):
+    (camera,) = discover()
+    assert (camera.serial, camera.trouble) == (
+        SERIAL,
+        "its firmware is older than 3.8. Update the camera's firmware with the maker's updater (support.prophesee.ai).",
+    )
+    assert capfd.readouterr().err.encode() == OLD
+
+
+@pytest.mark.usefixtures("old_firmware")
+@pytest.mark.parametrize(("on_usb", "listed"), [(None, 1), (["Prophesee camera (EVK4)"], 1), ([], 0)])
+def test_an_old_camera_that_was_unplugged_is_not_listed(monkeypatch, on_usb, listed):
+    """The maker's software says once in a process that a firmware is too old."""
+    assert len(discover()) == 1
+    monkeypatch.setattr(metavision_discovery, "connected_cameras", lambda: on_usb)
+    assert len(discover()) == listed
+
+
+def test_a_closed_standard_error_hides_the_cause_only(devices, clock, monkeypatch):
+    def closed(_number):
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr(metavision_discovery.os, "dup", closed)
+    MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
+    assert devices
+
+
 def test_a_camera_that_does_not_answer_is_named_without_waiting_again(devices, clock, monkeypatch):
     """The remedy was to look for plugins, after 60 s: OpenEB 5.1.1 waits 30 s for it, at each look."""
 
@@ -160,6 +225,16 @@ def test_a_camera_that_another_program_may_use_is_named(devices, clock, monkeypa
     ) as error:
         MetavisionEvk4.open(clock=clock)
     assert "cable" not in error.value.remedy
+
+
+@pytest.mark.usefixtures("capfd")
+def test_a_denial_that_only_standard_error_tells_is_named(devices, clock, monkeypatch):
+    devices.clear()
+    denial = b"[HAL][WARNING] Unable to open device:\nError fffffffd: LibUSB connection error: LIBUSB_ERROR_ACCESS\n"
+    discovery = sys.modules["metavision_hal"].DeviceDiscovery
+    monkeypatch.setattr(discovery, "list_available_sources", staticmethod(lambda: os.write(2, denial) and []))
+    with pytest.raises(CameraNotFound, match=r"LIBUSB_ERROR_ACCESS.*udev"):
+        MetavisionEvk4.open(clock=clock)
 
 
 def test_a_camera_that_this_user_may_not_use_is_named(devices, clock, monkeypatch):

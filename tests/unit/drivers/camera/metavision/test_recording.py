@@ -38,6 +38,11 @@ def test_a_camera_without_what_every_camera_has_is_told(device, camera, tmp_path
         camera.record(tmp_path / "pose.raw", 0.01)
 
 
+def test_what_the_camera_cannot_measure_is_left_out(camera, tmp_path):
+    assert camera.temperature_c() == 43.0
+    assert camera.record(tmp_path / "pose.raw", 0.01).illumination_lux is None
+
+
 def test_a_recording_holds_all_buffers_and_covers_the_time(device, camera, tmp_path):
     path = tmp_path / "pose.raw"
     facts = camera.record(path, 0.033)
@@ -57,6 +62,12 @@ def test_an_existing_file_is_never_overwritten(camera, tmp_path):
     with pytest.raises(RecordingFailed, match="file exists already"):
         camera.record(path, 0.01)
     assert path.read_bytes() == b"precious"
+
+
+def test_a_log_that_cannot_be_opened_is_told(device, camera, tmp_path):
+    device.facilities["events_stream"].may_log = False
+    with pytest.raises(RecordingFailed, match="cannot write"):
+        camera.record(tmp_path / "pose.raw", 0.01)
 
 
 def test_bytes_that_did_not_reach_the_file_are_noticed(device, camera, tmp_path):
@@ -91,6 +102,14 @@ def test_a_silent_camera_is_given_up(device, camera, clock, tmp_path):
     assert clock.now_s < 10
 
 
+def test_a_stream_that_ends_by_itself_is_not_complete(device, camera, tmp_path):
+    device.facilities["events_stream"].buffers = 3
+    device.facilities["events_stream"].ends_with = -1
+    facts = camera.record(tmp_path / "pose.raw", 1.0)
+    assert not facts.complete
+    assert facts.events == 3
+
+
 def test_stop_ends_a_recording_early(device, camera, tmp_path):
     device.facilities["events_stream"].hook[4] = camera.stop
     assert not camera.record(tmp_path / "pose.raw", 1.0).complete
@@ -103,6 +122,13 @@ def test_an_interrupt_stops_the_stream_and_leaves_a_readable_file(device, camera
         camera.record(path, 1.0)
     assert not device.facilities["events_stream"].running
     assert RawFile.open(path).scan().events == 5
+
+
+def test_garbled_words_fail_the_recording(device, camera, tmp_path):
+    stream = device.facilities["events_stream"]
+    stream.hook[2] = lambda: stream.log.write(b"\x00\x90")
+    with pytest.raises(RecordingFailed, match="0x9000"):
+        camera.record(tmp_path / "pose.raw", 0.01)
 
 
 def test_work_is_seen_to_go_on_while_a_long_recording_is_scanned(camera, clock, tmp_path, monkeypatch):

@@ -64,6 +64,16 @@ def test_a_region_beyond_the_sensor_is_refused_before_it_is_set(device, camera):
     assert device.facilities["roi"].window is None
 
 
+def test_a_region_that_is_not_taken_or_that_there_is_none_of_is_told(device, camera):
+    device.facilities["roi"].takes = False
+    for roi in ((0, 0, 10, 10), None):
+        with pytest.raises(CameraSettingRefused, match="not accept the region"):
+            camera.apply(CameraSettings(roi=roi))
+    device.facilities["roi"] = None
+    with pytest.raises(CameraSettingRefused, match="no region"):
+        camera.apply(CameraSettings(roi=(0, 0, 10, 10)))
+
+
 def test_a_bias_out_of_range_is_refused_with_the_range(device, camera):
     with pytest.raises(CameraSettingRefused, match="bias_fo from -35 to 55, not 60"):
         camera.apply(CameraSettings({"bias_fo": 60}))
@@ -76,6 +86,11 @@ def test_a_bias_that_does_not_stick_is_noticed(device, camera):
         camera.apply(CameraSettings({"bias_hpf": 7}))
 
 
+def test_an_unknown_bias_is_refused(camera):
+    with pytest.raises(CameraSettingRefused, match="no bias bias_pr"):
+        camera.apply(CameraSettings({"bias_pr": 1}))
+
+
 @pytest.mark.parametrize(
     ("missing", "message"), [(False, "trigger input stays off"), (True, "no trigger input")]
 )
@@ -85,6 +100,12 @@ def test_a_trigger_input_that_stays_off_or_is_missing_is_noticed(device, camera,
         device.facilities["trigger_in"] = None
     with pytest.raises(CameraSettingRefused, match=message):
         camera.apply(CameraSettings(trigger_in=True))
+
+
+def test_biases_that_are_missing_are_told_when_needed(device, camera):
+    device.facilities["ll_biases"] = None
+    with pytest.raises(CameraSettingRefused, match="no biases"):
+        camera.apply(CameraSettings({"bias_fo": 3}, trigger_in=False))
 
 
 FRAMED = "\n{0}\nLibUSB\n\nError fffffffc: LibUSB connection error: LIBUSB_ERROR_NO_DEVICE\n{0}\n".format(
@@ -105,6 +126,12 @@ def test_a_camera_that_has_gone_is_lost_not_a_refused_setting(device, camera, mo
         camera.apply(CameraSettings({"bias_diff_on": 0}))
     assert "cable" in caught.value.remedy
     assert "--" not in str(caught.value)  # the frame around the maker's words
+
+
+def test_filters_of_a_camera_that_has_gone_are_a_loss_too(device, camera, monkeypatch):
+    monkeypatch.setattr(device.facilities["antiflicker_module"], "is_enabled", gone)
+    with pytest.raises(CameraLost, match="read its filters"):
+        camera.filters()
 
 
 def test_a_measurement_that_the_sensor_does_not_end_is_no_temperature(device, camera, monkeypatch, tmp_path):

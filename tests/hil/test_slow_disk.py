@@ -1,0 +1,46 @@
+"""A disk that stands still for longer than a process may be silent: the run waits for it, and nobody ends the run."""
+
+import time
+
+import pytest
+from own_disk import Disk
+from quick_runs import write_sequence, write_station
+from running import PATIENCE_S, journal, start
+
+STANDS_STILL_S = 12.0
+QUEUE = """\
+format: starbench/queue/1
+name: Slow disk
+jobs:
+  - {name: a, sequence: %s, station: %s, seed: 7, settings: {station.disk.min_free_gb: 0.01}}
+"""
+
+
+@pytest.fixture
+def disk(tmp_path):
+    disk = Disk(tmp_path, megabytes=512)
+    yield disk
+    disk.close()
+
+
+def stored(run):
+    return sum(line["event"] == "capture_stored" for line in journal(run))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_a_disk_that_stands_still_is_waited_for(tmp_path, disk):
+    queue, night = tmp_path / "queue.yaml", disk.mounted / "night"
+    files = write_sequence(tmp_path / "sequence.yaml"), write_station(tmp_path / "station.yaml")
+    queue.write_text(QUEUE % files)
+    process = start("batch", queue, "-o", night, home=tmp_path / "home")
+    deadline = time.monotonic() + PATIENCE_S
+    while stored(night / "runs" / "a-001") < 2 and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    disk.freeze()
+    time.sleep(STANDS_STILL_S)
+    disk.thaw()
+    output = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, output
+    (ended,) = [line for line in journal(night) if line["event"] == "item_ended"]
+    assert ended["how"] == "finished", ended
