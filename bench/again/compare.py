@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -31,8 +31,6 @@ _CANCELLED = 1e-9
 """Numbers of this size are 0."""
 _WORK = "iterations"
 """A number of work, not of a result: rounding may change it."""
-_COPIED = ("run.", "devices.", "conditions.", "poses[", "passport.", "truth.", "untils[")
-"""Sections of results.json that state what journal, documents and simulated world do."""
 _COVARIANCES = ("matrix", "covariance_rad2", "sight_covariance_rad2")
 MOST_SHOWN = 12
 """Differences of one file that are shown one by one."""
@@ -109,43 +107,26 @@ def judge(kind: str, name: str, seen: Iterable[Difference], maker: Maker, findin
         findings.not_confirmed.append(f"{name}: {shown}{more}. {maker.how_to_install}")
 
 
-@dataclass(frozen=True)
-class Limits:
-    """How far the numbers of results may differ from those of a calibration that was made again."""
-
-    calibration: Mapping[str, Any]  # ``sigma`` and coverage factors, as results.json has them; may be empty
-
-    @cached_property
-    def _of_values(self) -> Mapping[str, float]:
-        return {
-            f"calibration.{part}.{name}": MOST_OF_U * coverage_factor(self.calibration, name) * sigma  # type: ignore[arg-type]
-            for name, sigma in self.calibration.get("sigma", {}).items()
-            for part in ("camera", "collimator")
-        }
-
-    def equal(self, where: str, stored: float, derived: float, scale: float) -> bool:
-        """Return whether two finite numbers count as equal; ``scale`` is the largest of their list."""
-        apart = abs(stored - derived)
-        if where in self._of_values:
-            return apart <= self._of_values[where]
-        if isinstance(stored, int) and isinstance(derived, int):
-            return apart == 0
-        share = _ROUNDING if where.startswith(_COPIED) else MOST_SHARE
-        return apart <= max(share * max(abs(stored), abs(derived)), _ROUNDING * scale, _CANCELLED)
-
-
-NO_VALUES = Limits({})
-"""For contents in which no value has a U."""
+def limits_of_values(calibration: Mapping[str, Any]) -> dict[str, float]:
+    """Return how far each value may differ from that of a calibration, as results.json has it, by its place."""
+    return {
+        f"calibration.{part}.{name}": MOST_OF_U * coverage_factor(calibration, name) * sigma  # type: ignore[arg-type]
+        for name, sigma in calibration["sigma"].items()
+        for part in ("camera", "collimator")
+    }
 
 
 def differences(
-    stored: Any, derived: Any, limits: Limits = NO_VALUES, where: str = ""
+    stored: Any, derived: Any, limits: Mapping[str, float] = MappingProxyType({}), where: str = ""
 ) -> Iterator[Difference]:
-    """Compare two contents, and yield each difference in the order of the derived one."""
+    """Compare two contents, and yield each difference in the order of the derived one; ``limits`` by place."""
     yield from _differences(stored, json.loads(json.dumps(derived)), limits, where, 0.0)
 
 
-def _differences(stored: Any, derived: Any, limits: Limits, where: str, scale: float) -> Iterator[Difference]:
+def _differences(
+    stored: Any, derived: Any, limits: Mapping[str, float], where: str, scale: float
+) -> Iterator[Difference]:
+    """``scale`` is the largest number of the list in which these stand."""
     name = where.rpartition(".")[2]
     if name in _COVARIANCES:
         yield from _of_covariance(stored, derived, where)
@@ -172,10 +153,14 @@ def _differences(stored: Any, derived: Any, limits: Limits, where: str, scale: f
         yield Difference(where, "value", stored, derived)
 
 
-def _same(stored: Any, derived: Any, limits: Limits, where: str, scale: float) -> bool:
-    if _is_finite(stored) and _is_finite(derived):
-        return limits.equal(where, stored, derived, scale)
-    return type(stored) is type(derived) and bool(stored == derived)
+def _same(stored: Any, derived: Any, limits: Mapping[str, float], where: str, scale: float) -> bool:
+    if not (_is_finite(stored) and _is_finite(derived)) or (
+        isinstance(stored, int) and isinstance(derived, int)
+    ):
+        return type(stored) is type(derived) and bool(stored == derived)
+    share = MOST_SHARE * max(abs(stored), abs(derived))
+    limit = limits.get(where, max(share, _ROUNDING * scale, _CANCELLED))
+    return bool(abs(stored - derived) <= limit)
 
 
 def _of_covariance(stored: Any, derived: Any, where: str) -> Iterator[Difference]:

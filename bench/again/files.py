@@ -16,12 +16,12 @@ import numpy as np
 from bench.again.compare import (
     MOST_OF_U,
     Difference,
-    Limits,
     Maker,
     arrays_differ,
     differences,
     judge,
     limit_of_covariances,
+    limits_of_values,
 )
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import BenchError, RunFolderError, StorageError
@@ -100,7 +100,7 @@ def _compare_results(
     if canonical_json(stored) == canonical_json(parse_json(canonical_json(again))):
         findings.remarks.append("made again: every number is equal to the last bit")
         return
-    seen = list(differences(stored, again, Limits(again["calibration"])))
+    seen = list(differences(stored, again, limits_of_values(again["calibration"])))
     if not maker.is_same_program:  # another engine states that it is another one
         seen = [difference for difference in seen if not difference.where.startswith(_ENGINE)]
     judge("results", RESULTS, seen, maker, findings)
@@ -135,39 +135,37 @@ def _compare_views(
 
 
 def _views_differ(had: StoredView, due: StoredView) -> Iterator[Difference]:
-    """Yield what differs between a stored view and the one found again: stars by their U, the rest by rounding."""
-    name, again = due.view.name, due.view
-    for what, stored, made in zip(_EXACT, _exact_parts(had), _exact_parts(due), strict=True):
-        seen = list(
-            arrays_differ(f"{name}.{what}", stored, made, _ROUNDING * np.max(np.abs(made), initial=0.0))
-        )
-        yield from seen
-        if seen:
-            return  # other stars, whose places say nothing
-    variances = np.diagonal(again.covariances_px2, axis1=1, axis2=2)
-    limit = MOST_OF_U * _K_OF_STAR * np.sqrt(variances)
-    yield from arrays_differ(f"{name}.points_px", had.view.points_px, again.points_px, limit)
-    yield from arrays_differ(f"{name}.residuals_px", had.residuals_px, due.residuals_px, limit)
-    limit = limit_of_covariances(again.covariances_px2)
-    yield from arrays_differ(
-        f"{name}.covariances_px2", had.view.covariances_px2, again.covariances_px2, limit
-    )
-    yield from arrays_differ(f"{name}.image", _picture(had), _picture(due), 0.0)
+    """Yield the first part that differs of a stored view and the one found again: stars by their U."""
+    of_star = MOST_OF_U * _K_OF_STAR * np.sqrt(np.diagonal(due.view.covariances_px2, axis1=1, axis2=2))
+    limits: dict[str, Array | float] = {
+        "points_px": of_star,
+        "residuals_px": of_star,
+        "covariances_px2": limit_of_covariances(due.view.covariances_px2),
+        "image": 0.0,
+    }
+    stored = _parts(had)
+    for name, made in _parts(due).items():
+        limit = limits.get(name, _ROUNDING * np.max(np.abs(made), initial=0.0))
+        if seen := list(arrays_differ(f"{due.view.name}.{name}", stored[name], made, limit)):
+            yield from seen
+            return  # of other stars, places say nothing
 
 
-_EXACT = ("image_size", "ids", "target_mm", "rim points", "rim sigmas")
-
-
-def _exact_parts(stored: StoredView) -> list[Array]:
-    view = stored.view
-    rim = [] if view.rim is None else [view.rim.points_mm, view.rim.sigmas_mm]
-    parts = [view.image_size, view.ids, view.target_mm, *(rim or [np.zeros(0)] * 2)]
-    return [np.asarray(part, np.float64) for part in parts]
-
-
-def _picture(view: StoredView) -> Array:
-    """Return the image of a view, float32; one without elements if there is none."""
-    return np.asarray(view.picture() if view.picture is not None else np.zeros(0), np.float32)
+def _parts(stored: StoredView) -> dict[str, Array]:
+    """Return the content of a view; parts that it does not have are empty."""
+    view, nothing = stored.view, np.zeros(0)
+    parts = {
+        "image_size": view.image_size,
+        "ids": view.ids,
+        "target_mm": view.target_mm,
+        "rim.points_mm": nothing if view.rim is None else view.rim.points_mm,
+        "rim.sigmas_mm": nothing if view.rim is None else view.rim.sigmas_mm,
+        "points_px": view.points_px,
+        "residuals_px": stored.residuals_px,
+        "covariances_px2": view.covariances_px2,
+        "image": nothing if stored.picture is None else stored.picture(),
+    }
+    return {name: np.asarray(part, np.float64) for name, part in parts.items()}
 
 
 def compare_file(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.again.compare import differences
 from bench.again.files import MadeAgain, compare_file, compare_files
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
@@ -22,11 +21,9 @@ from bench.solve.offline_folder import SealedBy, offline_files, source_data
 from bench.solve.offline_options import StationFile, passport_of_file
 from bench.solve.results_content import other_software
 from bench.solve.sources import options_of_data
-from bench.stations.station import load_offline_station
 from calib.errors import CalibrationError
 from calib.target import StarTarget
 from drivers.errors import DriverError
-from sequences.errors import SequencesError
 
 
 def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findings:
@@ -38,7 +35,6 @@ def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findi
     try:
         described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
         used = stored["run"]["software"]
-        _check_station(described, findings)
         if stored["sources"] != described["sources"]:
             findings.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
             return findings
@@ -70,29 +66,6 @@ def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findi
     return findings
 
 
-def _check_station(described: Mapping[str, Any], findings: Findings) -> None:
-    """Compare the station file of the command line, if it is still there, with its hash and its target."""
-    stated = described["station"]
-    if stated is None:
-        return
-    path = Path(str(stated["path"]))
-    if not path.is_file():
-        findings.remarks.append(f"the station file {path}, whose target was used, is not there any more")
-        return
-    if sha256_of(path) != stated["sha256"]:
-        findings.remarks.append(
-            f"{path}: another station file lies there now than the one whose target was used"
-        )
-        return
-    try:
-        target = asdict(load_offline_station(str(path)).value.target.pattern())
-    except (BenchError, SequencesError) as error:
-        findings.remarks.append(f"the target of the station file {path} cannot be read here: {error}")
-        return
-    for difference in differences(described["option_target"], target):
-        findings.fault("results", SOURCES, f"option_target: {difference}, by the station file {path}")
-
-
 def _sealer(folder: Path, stored: Mapping[str, Any]) -> SealedBy | None:
     """Return who sealed the results, by the key of their signature; None if they name nobody. Raises ``UNREADABLE``."""
     stated = stored["run"].get("sealed_by")
@@ -104,15 +77,12 @@ def _sealer(folder: Path, stored: Mapping[str, Any]) -> SealedBy | None:
 
 def _cannot(described: Mapping[str, Any]) -> str:
     """Return why the calibration cannot be made again; empty if it can."""
-    gone = [path for path in described["paths"] if not Path(path).exists()]
-    if gone:
-        return f"{gone[0]} is not there any more" + (f", and {len(gone) - 1} more" if len(gone) > 1 else "")
-    for source in described["sources"]:
-        path = Path(str(source["path"]))
-        if not path.is_file():
+    for path in (*described["paths"], *(source["path"] for source in described["sources"])):
+        if not Path(path).exists():
             return f"{path} is not there any more"
-        if sha256_of(path) != source["sha256"]:
-            return f"{path} is another file now"
+    for source in described["sources"]:
+        if sha256_of(Path(source["path"])) != source["sha256"]:
+            return f"{source['path']} is another file now"
     return ""
 
 

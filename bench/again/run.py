@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from bench.again.compare import Difference, Limits, Maker, differences, judge
+from bench.again.compare import Difference, Maker, differences, judge
 from bench.again.files import MadeAgain, compare_files, compare_plan, maker_of
 from bench.base.errors import BenchError, RunFolderError
 from bench.evidence.findings import UNREADABLE, Findings
@@ -39,8 +38,8 @@ from bench.solve.measured_again import measure_again
 from bench.solve.offline import Reached, nothing_shown
 from bench.solve.result import change_since
 from bench.solve.results_content import other_software, results_content
-from bench.solve.software import plugins_missing, plugins_of_run, plugins_stated
-from bench.solve.solution import main_numbers, solve_run
+from bench.solve.software import plugins_missing, plugins_stated
+from bench.solve.solution import solve_run
 from bench.stations.devices import simulated_truth
 from calib.calibration import Calibration
 from calib.errors import CalibrationError
@@ -53,34 +52,15 @@ _NUMBERS = f"{RESULTS}, exports and {REPORT}"
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What a run folder holds, as read for the checks."""
+    """What a run folder states of the making of its results."""
 
     folder: Path
-    entries: Sequence[Entry]
     job: Job
     # History of the run up to the moment when its results were made; of the whole run if it has none.
     history: History
     head: str  # Hash of the journal's line that the report prints; empty if the run has no results
+    maker: Maker  # By the engine that the results state, and the software that the journal states
     results: Mapping[str, Any] = field(default_factory=dict)  # As written; empty if the run has none
-
-    @cached_property
-    def maker(self) -> Maker:
-        """Who made the results: the engine that they state, and the software of the process by the journal."""
-        begun: Mapping[str, Any] = {}
-        for entry in self.entries:
-            if entry.event in {Event.RUN_STARTED, Event.RUN_RESUMED}:
-                begun = entry.data.get("software", {})
-            if entry.hash == self.head:
-                break
-        return maker_of(self.results, begun)
-
-    @property
-    def solve_step(self) -> SolveStep | None:
-        """The solve step whose calibration the results state."""
-        done = self.history.done_steps
-        return next(
-            (s for s in reversed(self.job.steps) if isinstance(s, SolveStep) and s.number in done), None
-        )
 
 
 def check_run_again(folder: Path, progress: Reached = nothing_shown) -> Findings:
@@ -88,18 +68,26 @@ def check_run_again(folder: Path, progress: Reached = nothing_shown) -> Findings
 
     ``progress`` is told how many recordings of all have been measured.
     """
-    findings = Findings()
-    evidence = _read(folder, findings)
-    if evidence is None:
+    findings, run = Findings(), StoredRun(folder)
+    if (job := _planned_again(run, findings)) is None:
         return findings
-    started = evidence.history.started
+    started = run.history.started
     findings.remarks += [
         f"the {drivers} was driven by a plug-in: {package}"
         for package, drivers in plugins_stated(started).items()
     ]
-    _check_first_line(evidence, findings)
-    compare_plan(folder, evidence.job.plan.to_dict(), started.get("software", {}), findings)
-    _check_steps(evidence, findings)
+    plan = job.plan
+    due = {
+        "sequence": plan.sequence.value.name,
+        "station": plan.station.value.name,
+        "simulated": job.simulated,
+    }
+    for difference in differences({name: started.get(name) for name in due}, due):
+        findings.fault("journal", f"{JOURNAL}:1", f"{difference}, by the run's documents")
+    compare_plan(folder, plan.to_dict(), started.get("software", {}), findings)
+    _check_steps(job, run.history, findings)
+    if (evidence := _read(run, job, findings)) is None:
+        return findings
     measured = _check_attempts(evidence, findings, progress)
     if not evidence.head:
         findings.remarks.append("this run has no results to calculate again")
@@ -111,25 +99,29 @@ def check_run_again(folder: Path, progress: Reached = nothing_shown) -> Findings
     return findings
 
 
-def _read(folder: Path, findings: Findings) -> _Evidence | None:
-    """Read journal and documents of a run; None if a part cannot be read, which ``findings`` then tells."""
-    run = StoredRun(folder)
-    entries, whole = run.entries, run.history
+def _planned_again(run: StoredRun, findings: Findings) -> Job | None:
+    """Plan a run again from its documents; None if they cannot be read, which ``findings`` then tells."""
+    started = run.history.started
     try:
-        job = _job(folder, whole)
+        return _job(run.folder, run.history)
     except (BenchError, DriverError, CalibrationError, *UNREADABLE) as error:
-        if missing := plugins_missing(whole.started):
+        if missing := plugins_missing(started):
             why = f"the station needs {', '.join(missing)}, which this computer does not have"
             findings.not_compared.append(f"{_NUMBERS}: {why}; install it and verify again")
-        elif Maker(whole.started.get("software", {})).is_same_program:
+        elif Maker(started.get("software", {})).is_same_program:
             what = f"the run cannot be planned again from its documents: {error}"
             findings.fault("plan", STATION_COPY, what)
         else:
             why = f"this version cannot read the documents of the run ({error})"
             findings.not_compared.append(f"{_NUMBERS}: {why}")
         return None
+
+
+def _read(run: StoredRun, job: Job, findings: Findings) -> _Evidence | None:
+    """Read the results of a run, and the journal up to their making; None if that fails, which ``findings`` tells."""
+    entries = list(run.entries)
     if not run.has_results:
-        return _Evidence(folder, entries, job, whole, "")
+        return _Evidence(run.folder, job, run.history, "", Maker(run.history.started.get("software", {})))
     head = _head(entries)
     at = next((number for number, entry in enumerate(entries, start=1) if entry.hash == head), None)
     if at is None:
@@ -140,7 +132,9 @@ def _read(folder: Path, findings: Findings) -> _Evidence | None:
     except RunFolderError as error:
         findings.fault("results", RESULTS, error.what.rstrip("."))
         return None
-    return _Evidence(folder, entries, job, replay(entries[:at]), head, results)
+    begun = [entry for entry in entries[:at] if entry.event in {Event.RUN_STARTED, Event.RUN_RESUMED}]
+    maker = maker_of(results, begun[-1].data.get("software", {}))
+    return _Evidence(run.folder, job, replay(entries[:at]), head, maker, results)
 
 
 def _job(folder: Path, history: History) -> Job:
@@ -160,33 +154,19 @@ def _head(entries: Sequence[Entry]) -> str:
     )
 
 
-def _check_first_line(evidence: _Evidence, findings: Findings) -> None:
-    """Compare what the journal's first line repeats of the documents."""
-    job, started = evidence.job, evidence.history.started
-    due = {
-        "sequence": job.plan.sequence.value.name,
-        "station": job.plan.station.value.name,
-        "simulated": job.simulated,
-        **({"plugins": plugins_of_run(job.station).get("plugins")} if started.get("plugins") else {}),
-    }
-    for difference in differences({name: started.get(name) for name in due}, due):
-        findings.fault("journal", f"{JOURNAL}:1", f"{difference}, by the run's documents")
-
-
-def _check_steps(evidence: _Evidence, findings: Findings) -> None:
+def _check_steps(job: Job, history: History, findings: Findings) -> None:
     """Check that the run did every step of its sequence; else it has not finished, or lines were removed."""
-    history = replay(evidence.entries)
     recorded = history.accepted()
-    for step in evidence.job.steps:
-        if step.number not in history.done_steps and not history.is_left_out(step.number):
-            findings.fault(
-                "journal", JOURNAL, f"it does not tell that step {step.number} of the sequence was done"
-            )
+    for step in job.steps:
+        if history.is_left_out(step.number):
+            continue
+        if step.number not in history.done_steps:
+            what = f"it does not tell that step {step.number} of the sequence was done"
+            findings.fault("journal", JOURNAL, what)
             return
-        is_left_out = history.is_left_out(step.number)
-        if isinstance(step, RecordStep) and not is_left_out and step.pose.index not in recorded:
+        if isinstance(step, RecordStep) and step.pose.index not in {*recorded, *history.skipped}:
             taken = history.attempts_at(step.pose.index) or history.lost.get(step.pose.index)
-            if not taken and step.pose.index not in history.skipped:
+            if not taken:
                 what = f"it tells of no recording at pose {step.pose.index}, and of no reason"
                 findings.fault("journal", JOURNAL, what)
 
@@ -247,13 +227,14 @@ def _made_again(
     evidence: _Evidence, measured: dict[int, Measurement], findings: Findings
 ) -> MadeAgain | None:
     """Calibrate again, as the run did; None if that fails, which ``findings`` then tells."""
-    job, history, step = evidence.job, evidence.history, evidence.solve_step
-    if step is None:
+    job, history = evidence.job, evidence.history
+    done = [s for s in job.steps if isinstance(s, SolveStep) and s.number in history.done_steps]
+    if not done:
         findings.fault("results", RESULTS, "the journal tells of no solve step")
         return None
     used = evidence.maker.software
     try:
-        solution = solve_run(job, evidence.folder, step, history, measured)
+        solution = solve_run(job, evidence.folder, done[-1], history, measured)
         truth = simulated_truth(job.station, job.seed)
         results = results_content(job, history, solution, truth, used)
         stored = evidence.results.get("previous")
@@ -265,7 +246,7 @@ def _made_again(
     except UNREADABLE as error:
         findings.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
         return None
-    _check_solved(evidence, solution.calibration, results["calibration"], findings)
+    _check_causes(evidence, solution.calibration, findings)
     return MadeAgain(results, solution.views, job.camera_name, job.target, evidence.head)
 
 
@@ -276,35 +257,14 @@ def _previous_again(stored: PreviousData, results: Results) -> PreviousData:
     return {**stored, "change": change_since(stored["calibration"], results["calibration"])}
 
 
-def _check_solved(
-    evidence: _Evidence, calibration: Calibration, limits: Mapping[str, Any], findings: Findings
-) -> None:
-    """Compare the main numbers of the calibration in the journal, and the kinds of causes, with those made again.
+def _check_causes(evidence: _Evidence, calibration: Calibration, findings: Findings) -> None:
+    """Compare the kinds of causes that the journal tells with those that the calibration shows, and that there can be.
 
-    Causes that rest on an earlier run, and a computer that stood still while the run calculated, need not be named.
+    Causes that rest on an earlier run, or on a computer that stood still, need not be told again.
     """
-    solved = evidence.history.solved
-    had, made = (
-        {"calibration": {**numbers, "camera": numbers.get("values"), "values": None, "causes": None}}
-        for numbers in (solved, main_numbers(calibration))
-    )
-    seen = list(differences(had, made, Limits(limits)))
-    stated = {cause["kind"] for cause in solved.get("causes", ())}
-    due = _kinds_before_solving(evidence, calibration)
-    job = evidence.job
+    job, stated = evidence.job, {cause["kind"] for cause in evidence.history.solved.get("causes", ())}
+    due = {cause.kind for cause in calibration.causes}
     possible = kinds_by_run_alone(job, evidence.history, calibration) | kinds_by_earlier_run(job)
-    seen += [Difference(f"causes: {kind}", "missing", None, kind) for kind in sorted(due - stated)]
+    seen = [Difference(f"causes: {kind}", "missing", None, kind) for kind in sorted(due - stated)]
     seen += [Difference(f"causes: {kind}", "added", kind, None) for kind in sorted(stated - possible)]
     judge("journal", JOURNAL, seen, evidence.maker, findings)
-
-
-def _kinds_before_solving(evidence: _Evidence, calibration: Calibration) -> set[str]:
-    at_head = next(at for at, entry in enumerate(evidence.entries) if entry.hash == evidence.head)
-    lines = evidence.entries[:at_head]
-    solving = [
-        at
-        for at, line in enumerate(lines)
-        if line.event == Event.ENTERING and line.data.get("state") == "solving"
-    ]
-    before = replay(lines[: solving[-1]]) if solving else evidence.history
-    return kinds_by_run_alone(evidence.job, before, calibration)

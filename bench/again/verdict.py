@@ -1,10 +1,11 @@
-"""Compares verdict and causes in the journal of a sealed run with its results; nothing is measured again."""
+"""Compares what the journal of a sealed run repeats of its results; nothing is measured again."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from bench.again.compare import differences
 from bench.base.errors import RunFolderError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.record.run_folder import JOURNAL, RESULTS
@@ -12,9 +13,11 @@ from bench.record.stored_run import StoredRun
 from bench.report.verdict import verdict
 from bench.solve.results_content import other_software
 
+_OF_CALIBRATION = ("model", "converged", "rms_px", "sigma", "coverage_factor", "coverage_factors")
+
 
 def check_verdict(folder: Path) -> Findings:
-    """Compare the verdict that lists of runs and messages show with the one that the results give.
+    """Compare what lists of runs and messages show with the results.
 
     A verdict by another version of the program is not compared: its rules and its words may have been others.
     """
@@ -25,19 +28,19 @@ def check_verdict(folder: Path) -> Findings:
         results = run.results_as_written
         due = verdict(results)
         made = results["run"]["software"]
-        causes = {"causes": list(results.get("causes", ()))}
+        repeated = _repeated(results)
     except RunFolderError as error:
         findings.fault("results", RESULTS, error.what.rstrip("."))
         return findings
     except UNREADABLE as error:
         findings.fault("results", RESULTS, f"the results give no verdict ({error!r})")
         return findings
-    for difference in differences({"causes": list(run.history.solved.get("causes", ()))}, causes):
-        findings.fault(
-            "journal",
-            JOURNAL,
-            f"what a person did to the bench is another thing in the results: {difference}",
-        )
+    solved = run.history.solved
+    for name in repeated.keys() & solved.keys():
+        if solved[name] != repeated[name]:  # type: ignore[literal-required]
+            findings.fault(
+                "journal", JOURNAL, f"its {name} of the calibration differs from that of the results"
+            )
     if other_software(made, ["program"]):
         return findings
     stated = run.history.verdict
@@ -47,3 +50,14 @@ def check_verdict(folder: Path) -> Findings:
         what = f"its verdict is {stated['headline']!r} ({stated['kind']})"
         findings.fault("journal", JOURNAL, f"{what}; by the results it is {due.line!r} ({due.kind})")
     return findings
+
+
+def _repeated(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of results that the journal's line of the calibration repeats."""
+    calibration = results["calibration"]
+    placed = {**calibration["camera"], **(calibration["collimator"] or {})}
+    return {
+        **{name: calibration[name] for name in _OF_CALIBRATION},
+        "values": {name: placed.get(name) for name in calibration["sigma"]},
+        "causes": list(results.get("causes", ())),
+    }

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from report_sample import sample
 
-from bench.again.compare import Limits, differences, judge
+from bench.again.compare import differences, judge, limits_of_values
 from bench.again.files import maker_of
 from bench.evidence.findings import Findings
 from bench.record.coverage import coverage_factor
@@ -22,7 +22,11 @@ def compared(stored, again):
     findings = Findings()
     maker = maker_of(stored, stored["run"]["software"])
     judge(
-        "results", "results.json", differences(stored, again, Limits(again["calibration"])), maker, findings
+        "results",
+        "results.json",
+        differences(stored, again, limits_of_values(again["calibration"])),
+        maker,
+        findings,
     )
     return [str(fault) for fault in findings.faults], findings
 
