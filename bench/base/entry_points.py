@@ -92,25 +92,26 @@ def load(group: str, name: str) -> Any:
 def missing(group: str, name: str) -> ExtraMissing:
     """Return the error for a name that no installed package declares."""
     what = f"No installed package has the {_WORDS[group]} {name!r}."
-    if is_stale(group, name):
-        return ExtraMissing(
-            what,
-            remedy="pyproject.toml declares it since the last installation. Install again: "
-            f"pip install --no-deps -e {SOURCE}",
-        )
     return ExtraMissing(what, remedy="Install the package that brings it.")
 
 
-def is_stale(group: str, name: str) -> bool:
-    """Return whether the source folder declares a name that its installation does not have yet."""
+def stale_remark() -> str:
+    """Return what the source folder declares and its installation lacks, by name, and what to do; or nothing."""
     import tomllib
 
     try:
         with (SOURCE / "pyproject.toml").open("rb") as file:
-            declared = tomllib.load(file)["project"]["entry-points"].get(group, {})
+            declared = tomllib.load(file)["project"]["entry-points"]
     except (OSError, KeyError, tomllib.TOMLDecodeError):
-        return False
-    return any(key.partition("|")[0].strip() == name for key in declared)
+        return ""
+    new = [name for group, names in declared.items() for name in names if name not in entry_points(group)]
+    if not new:
+        return ""
+    named = ", ".join(name.partition("|")[0].strip() for name in new)
+    return (
+        f"This installation is older than {SOURCE / 'pyproject.toml'}, and lacks: {named}. Install again: "
+        f"pip install --no-deps -e {SOURCE}"
+    )
 
 
 @functools.cache

@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from bench import __version__
-from bench.base.entry_points import COMMANDS, EntryPoint, entry_points, is_stale, missing
+from bench.base.entry_points import COMMANDS, EntryPoint, entry_points, stale_remark
 from bench.commands.options import RUN_STATUS
 
 SECTIONS = {
@@ -94,8 +94,6 @@ class LazyCommands(click.Group):
             if _stated(entry)[0] == cmd_name:
                 command = entry.load()
                 return command
-        if is_stale(COMMANDS, cmd_name):
-            raise missing(COMMANDS, cmd_name)
         return None
 
     def resolve_command(
@@ -177,12 +175,12 @@ def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:
     except (click.exceptions.Abort, KeyboardInterrupt):
         click.echo("Stopped.", err=True)
         return 128 + 2
-    except click.ClickException as error:
-        from bench.commands.output import print_usage_error
-
-        return print_usage_error(error, arguments)
     except Exception as error:  # noqa: BLE001 - the last place that can print any error in plain words
-        from bench.commands.output import print_error
+        from bench.commands.output import print_error, print_usage_error
 
+        if remark := stale_remark():
+            click.echo(remark, err=True)
+        if isinstance(error, click.ClickException):
+            return print_usage_error(error, arguments)
         return print_error(error, arguments)
     return int(status or 0)

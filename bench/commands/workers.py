@@ -15,7 +15,7 @@ import click
 from bench.base.clock import reliable_interrupts
 from bench.base.encoding import clock_text, printable
 from bench.base.entry_points import WORKERS as BROUGHT
-from bench.base.entry_points import ExtraMissing, load
+from bench.base.entry_points import ExtraMissing, load, stale_remark
 from bench.base.lost_output import Steering
 from bench.work.kept_rows import KeptRows
 from bench.work.workers import Serial, Workers, WorkLeft
@@ -66,6 +66,8 @@ def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
     except ExtraMissing:
         if who is not None:
             raise
+        if remark := stale_remark():
+            click.echo(remark, err=True)
         return Serial()
 
 

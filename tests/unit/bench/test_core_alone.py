@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
@@ -23,23 +24,26 @@ class Core:
         (folder / "home").mkdir()
         (folder / "home" / "allowed_signers").touch()
 
-    def __call__(self, *words, status=0):
+    def start(self, *words):
         environment = {
             **os.environ,
             "PYTHONPATH": str(self.folder),
             "STARBENCH_HOME": str(self.folder / "home"),
         }
-        done = subprocess.run(
+        return subprocess.Popen(
             [sys.executable, "-m", "bench", *words],
             cwd=self.folder / "work",
             env=environment,
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
-            timeout=600,
-            check=False,
         )
-        assert done.returncode == status, done.stderr
-        return done.stdout + done.stderr
+
+    def __call__(self, *words, status=0):
+        process = self.start(*words)
+        out, err = process.communicate(timeout=600)
+        assert process.returncode == status, err
+        return out + err
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +83,13 @@ def test_the_core_runs_verifies_and_calibrates(core):
     assert "finished" in core("status", "runs/one")
     core("verify", "runs/one")
     core("verify", "runs/one", "--again")
+    interrupted = core.start("run", "three_pose", "-s", "simulated", "--seed", "1", "-o", "runs/two")
+    journal_path = core.folder / "work" / "runs" / "two" / "journal.jsonl"
+    wait_until(lambda: journal_path.exists() and "capture_stored" in journal_path.read_text(), 300)
+    interrupted.kill()
+    interrupted.communicate()
+    core("resume", "runs/two")
+    core("verify", "runs/two")
     core("calibrate", "runs/one")
     core("calibrate", "runs/one", "--each", "-o", "each")
     (core.folder / "work" / "queue.yaml").write_text(

@@ -63,10 +63,14 @@ def test_a_package_that_cannot_be_imported_is_named(install, capsys):
         load(SCHEMAS, "lost")
 
 
-def test_an_installation_older_than_its_source_says_how_to_renew_it(tmp_path, monkeypatch, capsys):
+def test_an_error_of_an_installation_older_than_its_source_tells_what_it_lacks(tmp_path, monkeypatch, capsys):
     (tmp_path / "pyproject.toml").write_text(
-        '[project.entry-points."starbench.commands"]\n"new | A run | New." = "a:b"\n'
+        '[project.entry-points."starbench.schemas"]\nlabel = "x:y"\n'
+        '[project.entry-points."starbench.event_files"]\nnewest = "x:y"\n'
+        '[project.entry-points."starbench.commands"]\n"fresh | A run | Do." = "x:y"\n'
     )
     monkeypatch.setattr(module, "SOURCE", tmp_path)
-    assert "pip install --no-deps -e" in refusal(capsys, "new", status=2)
-    assert "No such command" in refusal(capsys, "newer", status=2)
+    for words in (("schema", "label"), ("fresh",), ("convert", "none.raw", "a.npz")):
+        message = refusal(capsys, *words, status=2)
+        assert "label, newest, fresh" in message
+        assert f"pip install --no-deps -e {tmp_path}" in message
