@@ -305,3 +305,24 @@ def even_pieces(pieces: Iterable[_Columns], size: int) -> Iterator[_Columns]:
 
 def _joined(pieces: list[_Columns]) -> _Columns:
     return tuple(np.concatenate(parts) for parts in zip(*pieces, strict=True))
+
+
+def source_of_stream(
+    stream: Callable[[], Iterator[Piece]], size: tuple[int, int], header: Mapping[str, str]
+) -> EventSource:
+    """Read a stream once, to count the events and to collect the edges; it is read again for the events.
+
+    In AEDAT4, edges stand behind the events of their time.
+    """
+    count, edges, parts = 0, 0, []
+    for events, triggers in stream():
+        count += len(events.t)
+        edges += len(triggers.t)
+        if edges > MOST_TRIGGERS:
+            raise too_many_edges()
+        if len(triggers.t):
+            parts.append(triggers)
+    joined = join_triggers(parts)
+    return EventSource(
+        *size, header, lambda: with_edges((events for events, _ in stream()), joined), count=count
+    )

@@ -77,15 +77,16 @@ def source_of_library(path: Path, kind: str, choices: ReadingChoices) -> Iterato
 
 @dataclass(frozen=True)
 class LibraryFormat:
-    """A format that `library_reader` reads, as an entry point of ``starbench.event_files`` gives it."""
+    """A format of events, as an entry point of ``starbench.event_files`` gives it."""
 
-    kind: str
+    reader: str
+    """Function that opens a file of it, in a process of its own: ``module:function`` of a path and `ReadingChoices`."""
     recognises: Callable[[Path, bytes], bool]
     """Whether a path with these first bytes (none of a folder) is of this format."""
 
     def open_events(self, path: Path, choices: ReadingChoices) -> AbstractContextManager[EventSource]:
         """Open a file of this format until the end of the block."""
-        return source_of_library(path, self.kind, choices)
+        return source_of_library(path, self.reader, choices)
 
 
 def _source(stream: IO[bytes], path: Path) -> EventSource:

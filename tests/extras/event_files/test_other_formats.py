@@ -66,7 +66,7 @@ def bag(
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    from drivers.camera.formats.library_reader import DEFINITIONS
+    from bench.extras.event_files.ros_bag import DEFINITIONS
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
     for defined, text in DEFINITIONS.items():

@@ -1,0 +1,1 @@
+"""Event files of other programs: AEDAT4 and bags of ROS, read through their libraries."""
