@@ -116,7 +116,7 @@ def k10cr1_far_away(**more) -> tuple[ThorlabsStage, AptController, DirectLine]:
     return ThorlabsStage([line], [axis], clock=clock), controller, line
 
 
-@pytest.mark.parametrize("speed_deg_s", [0.4, 2.0])
+@pytest.mark.parametrize("speed_deg_s", [pytest.param(0.4, marks=pytest.mark.slow), 2.0])
 def test_a_slow_search_of_a_healthy_stage_is_no_blockage(speed_deg_s) -> None:
     """A K10CR1 needs a minute for 120 degrees at the speed it has after power-up."""
     stage, controller, line = k10cr1_far_away(home_speed_deg_s=speed_deg_s)

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from simulators.stages.axis_motion import Axis, Mechanics, MotionFault
-from simulators.world.trajectory import ramp
+from simulators.world.trajectory import SETTLED_DEG, ramp
 
 SCALE = 6400.0
 SPEED = 40.0 * SCALE
@@ -81,6 +81,14 @@ def test_backlash_puts_the_load_behind_the_motor_on_the_side_it_came_from():
     assert pan.pointing.angle_deg(35.0) == pytest.approx(3.01)
 
 
+def test_a_settled_load_is_within_a_twentieth_of_an_arc_second():
+    pan = homed_axis(settle_s=0.05)
+    pan.move_to(1.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    settled = pan.pointing.settled_from_s
+    assert 1.0 - pan.pointing.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
+    assert pan.pointing.angle_deg(settled) == 1.0
+
+
 # ---------------------------------------------------------------- what can go wrong
 def move_with(fault: MotionFault | None) -> Axis:
     """Move from 0 to 10 degrees, from second 20 on, with a fault; it takes 0.45 s."""
@@ -99,3 +107,12 @@ def test_a_slip_shows_in_the_encoder_only_and_stays_until_homing():
     pan.home(40.0, SPEED, SPEED / 10, ACCELERATION)
     assert pan.counter(50.0) == pan.encoder(50.0) == 0.0
     assert pan.pointing.angle_deg(50.0) == 0.0
+
+
+def test_a_report_may_be_false_while_the_motion_is_not():
+    pan = move_with(None)
+    pan.report_false_idle(2)
+    assert [pan.reports_busy(20.1) for _ in range(3)] == [False, False, True]
+    pan.stuck_busy = True
+    assert pan.reports_busy(30.0)
+    assert not pan.busy(30.0)

@@ -157,3 +157,10 @@ def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(together, r
                     flat += limit_distance(drive, light, u * on_gain[c], u / off_gain[c]) < tail_width(drive)
     assert worst < 0.1
     assert flat > 100
+
+
+def test_a_reference_and_its_lower_digits_make_nine_digits():
+    for u in np.random.default_rng(1).uniform(0.1, 10.0, 1000):
+        u32 = np.float32(u)
+        assert join_digits(u32, lower_digits(u, u32)) == pytest.approx(u, rel=6e-10, abs=0.0)
+        assert join_digits(u32, np.uint8(1)) == u32  # only its polarity stands beside it
