@@ -61,8 +61,8 @@ night: $(VENV)/installed ## rehearse a night of sixty runs on a virtual clock; o
 test: $(VENV)/installed-dev lint types ## every check that CI runs
 	$(BIN)/pytest -n 4 --dist worksteal -m "not slow" --durations=100
 
-test-core: $(VENV)/installed-dev ## the tests of the core alone, without those of the extras
-	$(BIN)/pytest -n 4 --dist worksteal -m "not slow" --ignore=tests/extras --ignore=bench/extras
+test-core: $(VENV)/installed-dev ## the tests of the core alone, without those of extras and documents
+	$(BIN)/pytest -n 4 --dist worksteal -m "not slow" --ignore=tests/extras --ignore=bench/extras --ignore=tests/unit/documents
 
 test-slow: $(VENV)/installed-dev ## the long ones: kills, seeds, Monte Carlo
 	$(BIN)/pytest -m slow

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from calling import ended
+from calling import ended, out_of, refusal
 from command_words import NOBODY, check_help, check_words, commands, examples
 
 from bench.commands.cli import SECTIONS, cli
@@ -99,3 +99,10 @@ def test_a_conversion_needs_a_source_and_a_free_output(say, tmp_path):
 def test_a_station_file_without_its_option_is_refused_with_the_option(say, tmp_path):
     (tmp_path / "bench.yaml").write_text("format: starbench/station/1\n")
     assert say("align", "bench.yaml")[2].endswith("bench.yaml is a station file. Name it with --station.\n")
+
+
+def test_the_same_verb_takes_the_same_arguments(capsys, tmp_path):
+    output = out_of(capsys, "certificate", "new", tmp_path / "lab.yaml")
+    assert output.startswith(f"Written: {tmp_path / 'lab.yaml'}.")
+    assert "REPLACE" in (tmp_path / "lab.yaml").read_text()
+    assert "exists" in refusal(capsys, "certificate", "new", tmp_path / "lab.yaml", status=2)

@@ -9,6 +9,8 @@ import numpy as np
 from bench.measure.view_picture import ViewPicture
 from bench.report.html import ReportData
 from calib.model.camera import CameraModel
+from calib.model.result_parts import Boresight
+from calib.model.rotation import exp_map
 from calib.target import StarTarget
 
 RESULTS = Path(__file__).with_name("report_results.json")
@@ -23,6 +25,14 @@ TURNS = {
     "roll <b>$x$": (-0.05, 0.04, -0.06),
 }
 """Name of each pose, and the camera's rotation vector."""
+BORESIGHT = Boresight(
+    exp_map(np.radians([0.5, -1.25, 3.0])),
+    np.diag([1e-4, 4e-4, 9e-4]) ** 2,
+    np.degrees([2e-4, 8e-4, 18e-4]),
+    np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0]),
+    np.diag([1e-4, 2e-4]) ** 2,
+    np.degrees([2e-4, 4e-4]),
+)
 
 
 def sample(*, size=(1280, 720), seed=1, simulated=True):

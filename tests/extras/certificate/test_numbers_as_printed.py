@@ -1,5 +1,6 @@
 """A certificate's numbers and words: what a reader can calculate again, and its JSON."""
 
+import copy
 import dataclasses
 import json
 import math
@@ -9,6 +10,7 @@ import pytest
 from certificate_sample import LAB, full_certificate, identity, sample_lab, small_certificate
 from hypothesis import example, given
 from hypothesis import strategies as st
+from report_sample import BORESIGHT, STORED
 from scipy import stats
 from sealed_bench import sample_results
 
@@ -16,6 +18,7 @@ from bench.base.errors import EvidenceError
 from bench.extras.certificate.budget_rows import budget_of, expanded, print_result
 from bench.extras.certificate.certificate_data import Certificate
 from bench.extras.certificate.compose import compose
+from bench.extras.certificate.facts_of_run import further_of, results_of
 from bench.extras.certificate.lab_config import LabRuleConfig
 from bench.extras.certificate.limits import passes_over_fail
 from bench.record.conformity import conformity, verdict_of
@@ -301,3 +304,23 @@ def test_refuses_numbers_that_are_not_finite():
     broken = dataclasses.replace(full, results=(dataclasses.replace(full.results[0], value=float("inf")),))
     with pytest.raises(ValueError, match="Out of range"):
         broken.to_json()
+
+
+def test_the_certificate_states_the_boresight_with_its_u():
+    results = copy.deepcopy(sample_results())
+    results["calibration"].pop("boresight")
+    before = further_of(results)
+    results["calibration"]["boresight"] = BORESIGHT.to_dict()
+    stated = {further.id: further for further in further_of(results)}
+    assert {further.id for further in before} < set(stated)
+    assert (stated["boresight_y"].text, stated["boresight_y"].unit) == ("-1.250 deg", "deg")
+    assert stated["boresight_y_expanded"].text == "0.046 deg"
+    assert stated["boresight_down"].value == pytest.approx(-0.573, abs=1e-3)
+
+
+def test_a_certificate_states_the_skew_in_pixels_and_coefficients_as_pure_numbers():
+    calibration = STORED["calibration"]
+    camera, sigma = ({**calibration[key], "skew": 0.1} for key in ("camera", "sigma"))
+    stated = results_of({**STORED, "calibration": {**calibration, "camera": camera, "sigma": sigma}})
+    units = {result.symbol: result.unit for result in stated}
+    assert (units["skew"], units["fx"], units["k1"]) == ("px", "px", "1")

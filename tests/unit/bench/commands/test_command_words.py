@@ -291,9 +291,6 @@ def test_a_station_file_without_its_option_is_refused_with_the_option(say, words
     ("words", "what"),
     [
         (("calibrate", "q.yaml"), "This is a queue; it holds no data. `starbench batch`, `plan`"),
-        (("convert", "q.yaml", "a.raw"), "This is a queue; it holds no data."),
-        (("undistort", "q.yaml", "-o", "u"), "This is a queue; it holds no data."),
-        (("convert", "a.raw"), "SOURCE and OUTPUT; only a.raw is given"),
         (("runs", "--since", "yesterday"), "Write it as 2026-03-01 or 2026-03-01T21:00."),
         (("plan", "three_pose", "--suggest", "two"), "'two' is not a valid whole number"),
     ],
@@ -308,13 +305,6 @@ def test_a_file_of_a_run_is_not_calibrated_but_its_folder_is_named(say, tmp_path
     (tmp_path / "journal.jsonl").touch()
     (tmp_path / "results.json").write_text("{}")
     assert f"Name the folder of the run: {tmp_path}" in say("calibrate", tmp_path / "results.json")[2]
-
-
-def test_the_same_verb_takes_the_same_arguments(capsys, tmp_path):
-    output = out_of(capsys, "certificate", "new", tmp_path / "lab.yaml")
-    assert output.startswith(f"Written: {tmp_path / 'lab.yaml'}.")
-    assert "REPLACE" in (tmp_path / "lab.yaml").read_text()
-    assert "exists" in refusal(capsys, "certificate", "new", tmp_path / "lab.yaml", status=2)
 
 
 def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_on(capsys, tmp_path):

@@ -79,7 +79,7 @@ def test_commands_options_stations_and_sequences_are_proposed(shell):
     assert ("plain", "show") in proposed(shell, "keys", "")
     assert ("plain", "--station") in proposed(shell, "run", "--st")
     assert proposed(shell, "run", "thr") == [("plain", "three_pose")]
-    assert [name for _, name in proposed(shell, "align", "--station", "example_")] == [
+    assert [name for _, name in proposed(shell, "run", "--station", "example_")] == [
         "example_evk4",
         "example_network",
         "example_thorlabs",

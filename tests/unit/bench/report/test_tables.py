@@ -4,12 +4,9 @@ import copy
 import re
 from typing import get_args
 
-import numpy as np
 import pytest
-from certificate_sample import sample_results
-from report_sample import SMALL, sample
+from report_sample import BORESIGHT, SMALL, sample
 
-from bench.extras.certificate.facts_of_run import further_of, results_of
 from bench.report.calibration_tables import (
     budget_rows,
     checks,
@@ -23,8 +20,6 @@ from bench.report.run_tables import boresight_rows, inputs, passport_rows, readi
 from bench.wording.numbers import NOTHING
 from calib.diagnosis.hand_eye_verdict import VerdictKind
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
-from calib.model.result_parts import Boresight
-from calib.model.rotation import exp_map
 from tests.support.printed_text import printed_text
 
 # ---------------------------------------------------------------- the uncertainty budget
@@ -100,16 +95,6 @@ def test_the_verdict_alone_says_whether_readings_and_rotations_agree(data):
         assert re.fullmatch("RMS difference [^ ]+\\.", rows[check])
 
 
-BORESIGHT = Boresight(
-    exp_map(np.radians([0.5, -1.25, 3.0])),
-    np.diag([1e-4, 4e-4, 9e-4]) ** 2,
-    np.degrees([2e-4, 8e-4, 18e-4]),
-    np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0]),
-    np.diag([1e-4, 2e-4]) ** 2,
-    np.degrees([2e-4, 4e-4]),
-)
-
-
 def test_the_boresight_is_printed_with_u_and_with_the_faces_of_the_mount(data):
     results = copy.deepcopy(dict(data.results))
     assert boresight_rows(results) == []
@@ -123,18 +108,6 @@ def test_the_boresight_is_printed_with_u_and_with_the_faces_of_the_mount(data):
     assert turned == "x 0.500° ± 0.012°, y \N{MINUS SIGN}1.250° ± 0.046°, z 3.00° ± 0.11°"
     assert looks == "right 1.146° ± 0.012°, down \N{MINUS SIGN}0.573° ± 0.023° of the flange's axis"
     assert face == "angle 1.280° ± 0.023°"
-
-
-def test_the_certificate_states_the_boresight_with_its_u():
-    results = copy.deepcopy(sample_results())
-    results["calibration"].pop("boresight")
-    before = further_of(results)
-    results["calibration"]["boresight"] = BORESIGHT.to_dict()
-    stated = {further.id: further for further in further_of(results)}
-    assert {further.id for further in before} < set(stated)
-    assert (stated["boresight_y"].text, stated["boresight_y"].unit) == ("-1.250 deg", "deg")
-    assert stated["boresight_y_expanded"].text == "0.046 deg"
-    assert stated["boresight_down"].value == pytest.approx(-0.573, abs=1e-3)
 
 
 # ---------------------------------------------------------------- what is stated beside what all others say
@@ -201,14 +174,6 @@ def test_a_passport_from_views_lists_its_centre_and_names_its_aberrations(data):
     rows = dict(passport_rows(data.results["passport"] | of_views))
     assert rows["Collimator passport"].endswith("file named by the sequence (c17.json)")
     assert rows["Values of the passport"].endswith("r = 255 mm, standard uncertainty 0.1 mm; and radial")
-
-
-def test_a_certificate_states_the_skew_in_pixels_and_coefficients_as_pure_numbers(data):
-    calibration = data.results["calibration"]
-    camera, sigma = ({**calibration[key], "skew": 0.1} for key in ("camera", "sigma"))
-    stated = results_of({**data.results, "calibration": {**calibration, "camera": camera, "sigma": sigma}})
-    units = {result.symbol: result.unit for result in stated}
-    assert (units["skew"], units["fx"], units["k1"]) == ("px", "px", "1")
 
 
 def test_readings_that_entered_say_how_they_agree():
