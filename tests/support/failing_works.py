@@ -227,7 +227,6 @@ SIZE_OPTION = "--image-size 640x480"
 COMMANDS = {
     "target": "target -s simulated -o {out}.svg",
     "station new": "station new {out} --no-questions",
-    "station new with stand-ins": "station new {out} --stand-ins keysight",
     "passport make": f"passport make {{in}}/stars {SIZE_OPTION} -o {{out}}",
     "passport show --seal": "passport show {in}/draft.json --seal {out}",
     "calibrate": f"calibrate {{in}}/stars {SIZE_OPTION} -o {{out}}",
