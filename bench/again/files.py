@@ -23,14 +23,13 @@ from bench.again.compare import (
     limit_of_covariances,
     limits_of_values,
 )
-from bench.base.bounded_json import canonical_json, parse_json
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError, RunFolderError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.measure.views_file import VIEWS, StoredView, read_views, views_file
 from bench.record.recovery import EXPORTS
 from bench.record.run_folder import PLAN, REPORT, RESULTS
 from bench.record.storage import read_json
-from bench.record.stored_calibration import stored_calibration
 from bench.record.stored_run import StoredRun
 from bench.solve.result import shown_files
 from bench.solve.results_content import other_software
@@ -68,9 +67,9 @@ def maker_of(results: Mapping[str, Any], used: Mapping[str, Any]) -> Maker:
 
 def compare_files(folder: Path, made: MadeAgain, used: Mapping[str, Any], findings: Findings) -> None:
     """Compare results and views of a folder with those made again, then, if these agree, report and exports."""
-    before = len(findings.faults)
+    before, run = len(findings.faults), StoredRun(folder)
     try:
-        stored = StoredRun(folder).results_as_written
+        stored = run.results_as_written
         maker = maker_of(stored, used)
         _compare_results(stored, made.results, maker, findings)
     except (StorageError, RunFolderError, *UNREADABLE) as error:
@@ -80,8 +79,7 @@ def compare_files(folder: Path, made: MadeAgain, used: Mapping[str, Any], findin
     if held is None or len(findings.faults) > before:
         return  # report and exports follow from results and views that are wrong
     try:
-        calibration = stored_calibration(stored["calibration"])
-        due = shown_files(stored, calibration, made.camera_name, made.target, held, made.head)
+        due = shown_files(run.results, run.calibration, made.camera_name, made.target, held, made.head)
     except (BenchError, *UNREADABLE, jinja2.TemplateError) as error:
         if maker.is_same_program:
             findings.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
@@ -97,7 +95,7 @@ def compare_files(folder: Path, made: MadeAgain, used: Mapping[str, Any], findin
 def _compare_results(
     stored: Mapping[str, Any], again: Mapping[str, Any], maker: Maker, findings: Findings
 ) -> None:
-    if canonical_json(stored) == canonical_json(parse_json(canonical_json(again))):
+    if canonical_json(stored) == canonical_json(again):
         findings.remarks.append("made again: every number is equal to the last bit")
         return
     seen = list(differences(stored, again, limits_of_values(again["calibration"])))

@@ -14,6 +14,7 @@ from typing import Any
 
 from bench.again.compare import Difference, Maker, differences, judge
 from bench.again.files import MadeAgain, compare_files, compare_plan, maker_of
+from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import BenchError, RunFolderError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.measure.measure import Measurement
@@ -23,7 +24,6 @@ from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from bench.record.history import Attempt, History, replay
 from bench.record.journal_line import Entry
-from bench.record.results import PreviousData, Results
 from bench.record.run_folder import (
     JOURNAL,
     PASSPORT_COPY,
@@ -247,10 +247,11 @@ def _made_again(
         findings.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
         return None
     _check_causes(evidence, solution.calibration, findings)
-    return MadeAgain(results, solution.views, job.camera_name, job.target, evidence.head)
+    made = parse_json(canonical_json(results))
+    return MadeAgain(made, solution.views, job.camera_name, job.target, evidence.head)
 
 
-def _previous_again(stored: PreviousData, results: Results) -> PreviousData:
+def _previous_again(stored: Mapping[str, Any], results: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the comparison with the earlier run that the results name; its folder may have gone."""
     if stored.get("run") is None:
         return stored

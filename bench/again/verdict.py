@@ -25,7 +25,7 @@ def check_verdict(folder: Path) -> Findings:
     if not (folder / RESULTS).is_file():
         return findings
     try:
-        results = run.results_as_written
+        results = run.results
         due = verdict(results)
         made = results["run"]["software"]
         repeated = _repeated(results)

@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 MOST_LEVELS: Final = 100
@@ -38,8 +39,12 @@ def parse_json(data: bytes | str) -> Any:
 
 
 def canonical_json(value: Any, *, ascii_only: bool = True) -> bytes:
-    """Return JSON as all files of a run, a certificate or of recalculated results hold it; numbers must be finite."""
-    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
+    """Return JSON as all files of a run, a certificate or of recalculated results hold it; numbers must be finite.
+
+    A dataclass is written as its fields.
+    """
+    text = json.dumps(value, indent=1, allow_nan=False, ensure_ascii=ascii_only, default=asdict)
+    return (text + "\n").encode()
 
 
 def content_key(parts: Mapping[str, Any]) -> str:

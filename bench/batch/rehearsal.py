@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import canonical_json
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.base.progress import Progress
@@ -25,10 +26,9 @@ from bench.record.events import Event, Solved, UntilDecided
 from bench.record.history import History, replay
 from bench.record.journal import Journal
 from bench.record.measured_facts import MeasuredFacts
-from bench.record.results import Results
 from bench.record.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
 from bench.record.run_log import RunLog
-from bench.record.stored_calibration import calibration_data
+from bench.record.stored_run import results_of
 from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.runner import RunEnd, Runner
 from bench.solve.interim import decide_until
@@ -128,18 +128,19 @@ class RehearsedResults(ResultWriter):
                 remedy="Add a solve step to the sequence.",
             )
         self._clock.sleep(REPORT_S)
-        results: Results = {
+        content: dict[str, Any] = {
             "schema": SCHEMA,
             "rehearsal": True,
             "run": {"id": log.history.started["id"], "started_utc": log.history.started_utc},
-            "calibration": calibration_data(self._calibration),
+            "calibration": self._calibration.to_dict(),
             "comparison": compare_with_truth(self._calibration, truth) if truth is not None else [],
         }
         if log.history.decisions:
-            results["untils"] = list(log.history.decisions)
-        results["deviations"] = list(log.history.deviations)
-        data = (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()
-        self.outcome = Outcome(results, self._folder.write_atomic(RESULTS, data))
+            content["untils"] = list(log.history.decisions)
+        content["deviations"] = list(log.history.deviations)
+        data = canonical_json(content)
+        path = self._folder.write_atomic(RESULTS, data)
+        self.outcome = Outcome(results_of(data, path), path)
 
 
 def rehearse_run(

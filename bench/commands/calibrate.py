@@ -254,4 +254,4 @@ def _calibrate_together(paths: list[Path], options: OfflineOptions, output: Path
     show(result.to_dict, offline_lines(result))
     if output is not None and not wants_json():
         click.echo(f"Report: {output / REPORT}")
-    return NOT_KEPT if (judged := result.conformity) and not judged["passed"] else 0
+    return NOT_KEPT if (judged := result.conformity) and not judged.passed else 0

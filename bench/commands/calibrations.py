@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.encoding import counted
 from bench.commands.options import STATION_NAME, together
-from bench.record.coverage import coverage_factor
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import exact, with_uncertainty
 from bench.wording.parameters import unit_text
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from bench.camera_files.camera_values import LensFamily
     from bench.camera_files.reader import CameraFile
-    from bench.record.results import CalibrationData
     from bench.solve.offline import OfflineResult
+    from calib.calibration import Calibration
 
 
 LENS = click.option(
@@ -54,34 +54,29 @@ def offline_lines(result: OfflineResult) -> Iterator[str]:
     if judged := result.conformity:
         yield conformity_headline(judged)
         yield from (f"  {sentence}" for sentence in conformity_sentences(judged))
-    from bench.record.stored_calibration import calibration_data
-
-    yield calibration_text(calibration_data(result.calibration), words_for(result.board))
+    yield calibration_text(result.calibration, words_for(result.board))
 
 
-def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
-    """Return a calibration of `results.json` as text: values with uncertainties first, reprojection error second."""
-    values = {**calibration["camera"], **(calibration["collimator"] or {})}
-    views = calibration["views"]
-    points = sum(view["n"] for view in views)
-    own, k = calibration.get("coverage_factors"), coverage_factor(calibration)
-    model = calibration["model"].capitalize()
-    counted = f"{len(views)} view{'' if len(views) == 1 else 's'}"
-    factors = "the k of each value" if own else f"k = {exact(round(k, 2))}"
-    lines = [f"{model} model, {counted}, {points} {words.points}; U with {factors}:"]
-    width = max(map(len, calibration["sigma"]))
-    for name, sigma in calibration["sigma"].items():
-        k = coverage_factor(calibration, name)
-        value, expanded = with_uncertainty(values[name], k * sigma)
-        unit = f"{unit_text(name):<3} (k = {k:.2f})" if own else unit_text(name)
+def calibration_text(calibration: Calibration, words: TargetWords) -> str:
+    """Return a calibration as text: values with uncertainties first, reprojection error second."""
+    points = sum(view.n for view in calibration.views)
+    own = calibration.coverage_factors
+    model = calibration.model.capitalize()
+    counted_views = counted(len(calibration.views), "view")
+    factors = "the k of each value" if own else f"k = {exact(round(calibration.coverage_factor, 2))}"
+    lines = [f"{model} model, {counted_views}, {points} {words.points}; U with {factors}:"]
+    width = max(map(len, calibration.values))
+    for name, stated in calibration.values.items():
+        value, expanded = with_uncertainty(stated, calibration.U[name])
+        unit = f"{unit_text(name):<3} (k = {calibration.k[name]:.2f})" if own else unit_text(name)
         lines.append(f"  {name:<{width}} {value:>12} ± {expanded:<8} {unit}".rstrip())
     lines.append(
-        f"Reprojection error: rms {calibration['rms_px']:.4f} px, mean {calibration['mean_px']:.4f} px"
+        f"Reprojection error: rms {calibration.rms_px:.4f} px, mean {calibration.mean_px:.4f} px"
         f" (how well the model fits the {words.points}; this is not the accuracy)."
     )
-    if not calibration["converged"]:
+    if not calibration.converged:
         lines.append("NOT CONVERGED: do not use these numbers.")
-    return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
+    return "\n".join([*lines, *(f"Note: {note}" for note in calibration.notes)])
 
 
 class _CutoffFrequency(click.ParamType):

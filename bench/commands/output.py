@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 
 import click
 
+from bench.base.bounded_json import canonical_json
 from bench.base.encoding import counted
 from bench.base.errors import EvidenceError, ScriptError, StorageError, UsageError
 from bench.base.failure import FORESEEN, INVALID_FILES, Failure
@@ -91,7 +91,7 @@ def left_out_lines(reasons: Sequence[str]) -> list[str]:
 
 def print_json(value: Mapping[str, Any]) -> None:
     """Print one object on standard output. Raises ValueError when a number is not finite."""
-    click.echo(json.dumps(value, indent=1, allow_nan=False))
+    click.echo(canonical_json(value), nl=False)
 
 
 def ask_passphrase(key: Path) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,7 @@ from bench.wording.parameters import unit_text
 from bench.wording.target_words import STARS
 
 if TYPE_CHECKING:
+    from bench.record.results import ComparisonRow
     from bench.run.runner import RunEnd
 
 _MOST_LISTED = 20
@@ -122,7 +124,7 @@ def show_run(end: RunEnd) -> int:
     if end.how != "finished":
         return STOPPED if end.how == "aborted" else 1
     conformity = end.outcome.results.get("conformity") if end.outcome else None
-    return NOT_KEPT if conformity and not conformity["passed"] else 0
+    return NOT_KEPT if conformity and not conformity.passed else 0
 
 
 def _run_dict(end: RunEnd) -> dict[str, Any]:
@@ -153,9 +155,11 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield conformity_headline(conformity)
         yield from (f"  {sentence}" for sentence in conformity_sentences(conformity))
         yield ""
-    calibration = results["calibration"]
-    notes = [note for note in calibration["notes"] if note not in causes]
-    yield calibration_text({**calibration, "notes": notes}, STARS)
+    from bench.record.stored_calibration import stored_calibration
+
+    calibration = stored_calibration(results["calibration"])
+    notes = tuple(note for note in calibration.notes if note not in causes)
+    yield calibration_text(replace(calibration, notes=notes), STARS)
     if results["comparison"]:
         yield "\nSIMULATED devices. Distance from the simulated truth:"
         yield from map(_distance_text, results["comparison"])
@@ -164,11 +168,11 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
     yield f"\nReport: {end.outcome.report}"
 
 
-def _distance_text(row: Mapping[str, Any]) -> str:
+def _distance_text(row: ComparisonRow) -> str:
     """Return how far a value lies from the truth, to the digits of its uncertainty."""
-    error, _ = with_uncertainty(row["error"], 2 * row["sigma"])
-    sigmas = fixed(row["error_sigmas"], 2)
-    return f"  {row['name']:<3} {error:>12} {unit_text(row['name']):<3} = {sigmas:>5} sigma"
+    error, _ = with_uncertainty(row.error, 2 * row.sigma)
+    sigmas = fixed(row.error_sigmas, 2)
+    return f"  {row.name:<3} {error:>12} {unit_text(row.name):<3} = {sigmas:>5} sigma"
 
 
 def _early_end_lines(end: RunEnd) -> list[str]:

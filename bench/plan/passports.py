@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
 from bench.plan.passport_file import passport_bytes, read_passport_file
+from bench.record.results import StatedPassport
 from bench.stations.station import OfflineStation
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
 from calib.calibration import REFERENCE_MODELS
@@ -28,7 +29,6 @@ from sequences.tree import DocumentPath, Fault
 
 if TYPE_CHECKING:
     from bench.evidence.passport_seal import PassportSeal
-    from bench.record.results import PassportData
 
 NO_PASSPORT = "none"
 """Word in a sequence: use no passport, not even the station's."""
@@ -102,23 +102,24 @@ class PassportInUse:
             float(stated_c) if isinstance(stated_c, int | float) and not isinstance(stated_c, bool) else None
         )
 
-    def to_dict(self) -> PassportData:
+    def to_dict(self) -> dict[str, Any]:
         """Return what results.json states: origin, identity, validity, values, standard uncertainties, hash."""
         stated, passport = self.passport.conditions, self.passport
         sigma = {name: float(passport.covariance[i, i] ** 0.5) for i, name in enumerate(passport.names)}
-        return {
-            "source": self.source,
-            "name": self.name,
-            "collimator": self.serial,
-            "number": _text(stated.get("certificate")),
-            "date": self._date_of_issue(),
-            "valid_until": _text(stated.get("valid_until")),
-            "temperature_c": self.temperature_c,
-            "values": dict(passport.values_by_name),
-            "sigma": sigma,
-            "sha256": hashlib.sha256(self.data).hexdigest(),
-            "sealed_by": self.seal.fingerprint if self.seal else None,
-        }
+        shown = StatedPassport(
+            source=self.source,
+            name=self.name,
+            collimator=self.serial,
+            number=_text(stated.get("certificate")),
+            date=self._date_of_issue(),
+            valid_until=_text(stated.get("valid_until")),
+            temperature_c=self.temperature_c,
+            values=dict(passport.values_by_name),
+            sigma=sigma,
+            sha256=hashlib.sha256(self.data).hexdigest(),
+            sealed_by=self.seal.fingerprint if self.seal else None,
+        )
+        return asdict(shown)
 
     def _date_of_issue(self) -> str | None:
         """Return the date of the certificate; of a passport that was made from views, the date when it was made."""

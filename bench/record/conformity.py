@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
-from bench.record.coverage import coverage_factor
-from bench.record.results import CalibrationData, ConformityData, StatementData, Verdict
+from bench.record.results import Conformity, LimitStatement, Verdict
 
 if TYPE_CHECKING:
+    from calib.calibration import Calibration
     from sequences.schema import ResultLimitConfig
 
 
@@ -40,37 +40,29 @@ def verdict_of(value: str, expanded: str, lower: float | None, upper: float | No
 
 
 def conformity(
-    calibration: CalibrationData,
+    calibration: Calibration,
     limits: Mapping[str, Sequence[ResultLimitConfig]],
     failed_gates: Sequence[str],
     *,
     checks: bool = False,
-) -> ConformityData | None:
+) -> Conformity | None:
     """Return PASS or FAIL of a run with limits, or one that ``checks`` a calibration; ``failed_gates`` count."""
     statements = [_statement(calibration, by, rule) for by, rules in limits.items() for rule in rules]
     if not statements and not checks:
         return None
-    reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
+    reasons = [*([] if calibration.converged else [NO_CONVERGENCE])]
     reasons += [f"The gate {name} failed." for name in failed_gates]
-    kept = all(statement["verdict"] == "pass" for statement in statements)
-    return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
+    kept = all(statement.verdict == "pass" for statement in statements)
+    return Conformity(kept and not reasons, RULE, statements, reasons)
 
 
-def _statement(calibration: CalibrationData, stated_by: str, rule: ResultLimitConfig) -> StatementData:
-    name, sigma = rule.result, calibration["sigma"]
-    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+def _statement(calibration: Calibration, stated_by: str, rule: ResultLimitConfig) -> LimitStatement:
+    name = rule.result
     value = expanded = None
     verdict: Verdict = "fail"
-    if name in values and sigma.get(name, 0.0) > 0:
-        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
+    if calibration.U.get(name, 0.0) > 0:
+        value, expanded = calibration.values[name], calibration.U[name]
         verdict = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
-    return {
-        "result": name,
-        "specification": rule.specification,
-        "stated_by": stated_by,
-        "lower": rule.lower,
-        "upper": rule.upper,
-        "value": value,
-        "expanded": expanded,
-        "verdict": verdict,
-    }
+    return LimitStatement(
+        name, rule.specification, stated_by, rule.lower, rule.upper, value, expanded, verdict
+    )

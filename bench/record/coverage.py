@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 from bench.record.events import Solved
-from bench.record.results import CameraData
+
+if TYPE_CHECKING:
+    from bench.record.results import CameraData
 
 USUAL_COVERAGE_FACTOR = 2.0
 """The k of results of earlier versions, which do not state one."""

@@ -15,7 +15,7 @@ class GateData(TypedDict):
     """One quality gate as judged (`bench.measure.gates.Gate`)."""
 
     name: str
-    value: float
+    value: int | float
     unit: str
     limit: str
     verdict: str

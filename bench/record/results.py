@@ -1,6 +1,8 @@
 """What results.json holds: the types that its writer, the report, the certificate, the table and the panel share.
 
-docs/results.md explains the values. ``NotRequired`` parts are missing where they do not apply.
+docs/results.md explains the values. ``NotRequired`` parts are missing where they do not apply. A dataclass, also one of
+the engine, is written field by field (`bench.base.bounded_json.canonical_json`), and is an object again when the file
+is read (`bench.record.stored_run.results_of`).
 U of a value is its ``coverage_factors``, or else ``coverage_factor``, times its ``sigma``. Print and collimator are in
 mm, images in px, readings in degrees, unless a name says otherwise.
 """
@@ -8,6 +10,7 @@ mm, images in px, readings in degrees, unless a name says otherwise.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import (
     Any,
     Literal,
@@ -27,6 +30,7 @@ from bench.record.events import (
     UntilDecided,
 )
 from bench.record.measured_facts import GateData, ImageFacts
+from calib.model.result_parts import Amplitude, BudgetRow, CameraCheck, GimbalEstimate, Witness
 
 Numbers = Mapping[str, float]
 """A number by name: ``fx``, ``cx``, ``r`` ... or by axis: ``pan``, ``tilt``."""
@@ -52,36 +56,6 @@ class ViewData(TypedDict):
     centre_mm: Sequence[float]
 
 
-class BudgetRowData(TypedDict):
-    """A source of uncertainty: how it was evaluated (JCGM 100, 4.2 and 4.3), and what it contributes."""
-
-    name: str
-    type: Literal["A", "B"]
-    source: str
-    distribution: str
-    value: float | None  # Stated value; None for a source that the adjustment itself gives
-    unit: str
-    divisor: float | None
-    degrees_of_freedom: float | None  # None for infinite
-    sensitivity: Numbers  # Change of ``fx``, ``cx`` ... by one unit of the value
-    contribution: Numbers  # To the standard uncertainty of ``fx``, ``cx``, ``worst_corner`` ..., px
-    share: Numbers  # In the variance, 0 to 1
-
-
-class GimbalEstimateData(TypedDict):
-    """What the adjustment found about the gimbal from its readings."""
-
-    entered: bool
-    values: Numbers
-    sigma: Numbers
-    chi_square: float
-    degrees_of_freedom: int
-    rms_deg: float
-    reading_sigma_deg: float
-    scatter: float
-    source: str
-
-
 class BoresightData(TypedDict):
     """The rotation from the stage's flange to the camera (`calib.model.result_parts.Boresight`)."""
 
@@ -95,27 +69,14 @@ class BoresightData(TypedDict):
     sight_covariance_rad2: Sequence[Sequence[float]]  # (2, 2)
 
 
-class MountFaceData(TypedDict):
+@dataclass(frozen=True)
+class MountFace:
     """How the camera looks against a face of its mount."""
 
     name: str
     normal_in_camera: Sequence[float]
     angle_deg: float  # Between the normal and the ray through the middle of the image
     expanded_deg: float
-
-
-class WitnessData(TypedDict):
-    """A statement against what the views and all other statements say (`calib.model.result_parts.Witness`)."""
-
-    name: str
-    source: str
-    unit: str
-    stated: float | None  # None for a joint statement of several values, as the other three
-    sigma: float | None
-    expected: float | None
-    expected_sigma: float | None
-    innovation: float  # Stated minus expected, over the standard uncertainty of that difference
-    fault_probability: float
 
 
 class CameraData(TypedDict):
@@ -147,23 +108,33 @@ class CalibrationData(CameraData):
     views: Sequence[ViewData]
     notes: Sequence[str]
     remarks: Sequence[str]  # Those of the notes that do not doubt the values
-    gimbal: NotRequired[GimbalEstimateData]
+    gimbal: NotRequired[GimbalEstimate]
     boresight: NotRequired[BoresightData]
-    budget_rows: Sequence[BudgetRowData]
+    budget_rows: Sequence[BudgetRow]
     not_included: Sequence[str]
-    witnesses: Sequence[WitnessData]
-    amplitudes: Sequence[Mapping[str, str | float]]  # Each `calib.model.result_parts.Amplitude`
+    witnesses: Sequence[Witness]
+    amplitudes: Sequence[Amplitude]
 
 
-class Direction(TypedDict):
+@dataclass(frozen=True)
+class Direction:
     """Expanded uncertainty of a direction."""
 
     expanded_px: float
     expanded_urad: float
-    corner: NotRequired[str]  # ``top left`` ..., of the corner of the sensor with the largest uncertainty
 
 
-class SupportedPart(TypedDict):
+@dataclass(frozen=True)
+class WorstCorner:
+    """Expanded uncertainty of a direction in the corner of the sensor where it is largest."""
+
+    corner: str  # ``top left`` ...
+    expanded_px: float
+    expanded_urad: float
+
+
+@dataclass(frozen=True)
+class SupportedPart:
     """The part of the sensor with stars near: ``reach_px`` to the next star; its share, and the largest U there."""
 
     reach_px: float
@@ -172,16 +143,18 @@ class SupportedPart(TypedDict):
     expanded_urad: float | None
 
 
-class ProjectionData(TypedDict):
+@dataclass(frozen=True)
+class Projection:
     """Uncertainty of directions over the sensor."""
 
     coverage_factor: float
-    worst_corner: Direction
+    worst_corner: WorstCorner
     median: Direction
     supported: SupportedPart | None
 
 
-class PassportData(TypedDict):
+@dataclass(frozen=True)
+class StatedPassport:
     """What was known of the collimator beforehand."""
 
     source: str  # ``sequence``, ``station``, ``station certificate`` or ``command line``
@@ -194,10 +167,11 @@ class PassportData(TypedDict):
     values: Numbers
     sigma: Numbers
     sha256: str
-    sealed_by: NotRequired[str | None]
+    sealed_by: str | None = None
 
 
-class ReadingsStatement(TypedDict):
+@dataclass(frozen=True)
+class ReadingsStatement:
     """What the station states about the readings of its gimbal."""
 
     source: str
@@ -206,7 +180,8 @@ class ReadingsStatement(TypedDict):
     eccentricity_deg: float
 
 
-class GimbalReadingsData(TypedDict):
+@dataclass(frozen=True)
+class ReadingsUse:
     """Whether the readings of the gimbal entered the calibration, with what statement, or why not."""
 
     entered: bool
@@ -216,7 +191,8 @@ class GimbalReadingsData(TypedDict):
     why_not: str | None
 
 
-class GimbalCheckData(TypedDict):
+@dataclass(frozen=True)
+class GimbalComparison:
     """The hand-eye check: the rotations against the readings of the gimbal."""
 
     rms_arcsec: float
@@ -232,35 +208,36 @@ class GimbalCheckData(TypedDict):
     faults: Sequence[Mapping[str, str | float | bool | None]]
 
 
-class HalvesData(TypedDict):
+@dataclass(frozen=True)
+class Halves:
     """Split half: every other pose against the rest, over the sensor."""
 
     rms_px: float
     worst_px: float
     expected_px: float
-    ratio: NotRequired[float]
-    cameras: NotRequired[Sequence[Numbers]]  # Of both halves, in results of before
+    ratio: float | None = None  # None in results of before
 
 
 class PoseData(TypedDict):
-    """A pose: its angles, recordings and stars."""
+    """A pose: its angles and its stars; of a run, its recordings too."""
 
     index: int
     name: str
-    commanded_deg: Numbers
-    measured_deg: Numbers
+    commanded_deg: Numbers | None  # None, as the next, of a file that is of no run
+    measured_deg: Numbers | None
     measured_after_deg: NotRequired[Numbers]
-    attempts: Sequence[AttemptData]
-    image: ImageFacts | None
-    flicker_hz: float | None
+    attempts: NotRequired[Sequence[AttemptData]]
+    image: NotRequired[ImageFacts | None]
+    flicker_hz: NotRequired[float | None]
     flicker_duty: NotRequired[float | None]  # Share of a period in which the light is on
-    named_by: str | None  # ``tag`` or ``gimbal``
+    named_by: NotRequired[str | None]  # ``tag`` or ``gimbal``
     stars: int
     rms_px: float | None  # None if the pose is not part of the calibration
     mean_px: float | None
 
 
-class ComparisonRow(TypedDict):
+@dataclass(frozen=True)
+class ComparisonRow:
     """A value against the truth of the simulated world."""
 
     name: str
@@ -275,8 +252,8 @@ class RunData(TypedDict):
     """Where, when and with what the results were made, by a run or, ``offline``, from files without devices."""
 
     id: str
-    sequence: NotRequired[str]
-    station: NotRequired[str]
+    sequence: NotRequired[str | None]
+    station: NotRequired[str | None]
     started_utc: NotRequired[str]
     finished_utc: NotRequired[str]
     offline: NotRequired[bool]
@@ -299,9 +276,9 @@ class RunData(TypedDict):
 class CameraConditions(TypedDict):
     """Settings of the camera as read back, with its temperature: those of an event or of a frame camera."""
 
-    temperature_c: NotRequired[float | None]
     biases: NotRequired[Mapping[str, int]]
     filters: NotRequired[Mapping[str, bool]]
+    temperature_c: NotRequired[float | None]
     illumination_lux: NotRequired[float | None]
     pictures: NotRequired[int]
     bits: NotRequired[int]
@@ -316,8 +293,9 @@ class Conditions(TypedDict):
     camera: CameraConditions
 
 
-class ChangeData(TypedDict):
-    """Change of the projection since an earlier calibration, px and in units of its U."""
+@dataclass(frozen=True)
+class ProjectionChange:
+    """ProjectionChange of the projection since an earlier calibration, px and in units of its U."""
 
     rms_px: float
     largest_px: float
@@ -326,29 +304,15 @@ class ChangeData(TypedDict):
     at_px: Sequence[float]
 
 
-class CheckRegion(TypedDict):
-    """The worst place of a part of the sensor, in a check of a calibration."""
+@dataclass(frozen=True)
+class StatedCheck(CameraCheck):
+    """A stated calibration against that of new views; besides its fields, the file has ``right`` and ``cause``."""
 
-    name: str
-    at_px: Sequence[float]
-    offset_px: float
-    expanded_px: float
-    normalised: float  # The E_n number
+    stated: Mapping[str, Any] = field(default_factory=dict)  # ``name kind uncertainty sha256`` of the file
 
 
-class CheckData(TypedDict):
-    """A stated calibration against that of new views (`calib.studies.camera_check.CameraCheck`)."""
-
-    right: bool
-    cause: str | None
-    rms_px: float
-    coverage_factor: float
-    shares: Numbers  # Of the squared change that each kind of change explains alone
-    regions: Sequence[CheckRegion]
-    stated: NotRequired[Mapping[str, Any]]  # ``name kind uncertainty sha256`` of the file
-
-
-class StatementData(TypedDict):
+@dataclass(frozen=True)
+class LimitStatement:
     """A limit of the station or of the sequence, and whether the result keeps it."""
 
     result: str
@@ -361,12 +325,13 @@ class StatementData(TypedDict):
     verdict: Verdict
 
 
-class ConformityData(TypedDict):
+@dataclass(frozen=True)
+class Conformity:
     """PASS or FAIL of a run by the limits of its station and its sequence."""
 
     passed: bool
     rule: str
-    statements: Sequence[StatementData]
+    statements: Sequence[LimitStatement]
     reasons: Sequence[str]  # Why the run fails whatever its limits say
 
 
@@ -382,7 +347,7 @@ class PreviousData(TypedDict):
     seal: NotRequired[str]
     results_sha256: NotRequired[str]
     calibration: NotRequired[CameraData]
-    change: NotRequired[ChangeData | None]
+    change: NotRequired[ProjectionChange | None]
 
 
 class ParallaxData(TypedDict, total=False):
@@ -414,15 +379,15 @@ class Results(TypedDict):
     devices: NotRequired[Mapping[str, Any]]  # Identities, as the journal's ``devices`` holds them
     conditions: NotRequired[Conditions]
     calibration: CalibrationData
-    projection: NotRequired[ProjectionData | None]
+    projection: NotRequired[Projection | None]
     planar: NotRequired[CalibrationData | None]  # Of the same stars, in results of before
-    passport: NotRequired[PassportData | None]
-    gimbal_readings: NotRequired[GimbalReadingsData]
-    halves: NotRequired[HalvesData]
-    gimbal: NotRequired[GimbalCheckData]
+    passport: NotRequired[StatedPassport | None]
+    gimbal_readings: NotRequired[ReadingsUse | None]
+    halves: NotRequired[Halves]
+    gimbal: NotRequired[GimbalComparison]
     parallax: NotRequired[ParallaxData]
-    mount_faces: NotRequired[Sequence[MountFaceData]]
-    check: NotRequired[CheckData]
+    mount_faces: NotRequired[Sequence[MountFace]]
+    check: NotRequired[StatedCheck]
     poses: NotRequired[Sequence[PoseData]]
     gates: NotRequired[Sequence[GateData]]
     untils: NotRequired[Sequence[UntilDecided]]
@@ -437,4 +402,4 @@ class Results(TypedDict):
     comparison: NotRequired[Sequence[ComparisonRow]]
     previous: NotRequired[PreviousData]
     causes: NotRequired[Sequence[CauseData]]  # The most probable first; empty or missing if there are none
-    conformity: NotRequired[ConformityData]  # Missing without limits
+    conformity: NotRequired[Conformity]  # Missing without limits

@@ -10,19 +10,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NotRequired, TypedDict, TypeVar, cast
+from typing import Any, Literal, NotRequired, TypedDict
 
 from bench.base.errors import BenchError
 from bench.record.coverage import Estimate, estimates, parameters_data
 from bench.record.events import CauseData, DeviceData, Event, LightSettingsData, UntilDecided, Written
 from bench.record.history import Attempt, History
 from bench.record.journal_line import Entry
-from bench.record.results import Results
 from bench.record.run_folder import PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import read_bounded
 from bench.record.stored_run import object_of
 
-_Part = TypeVar("_Part")
 IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledger"
 
 
@@ -235,7 +233,7 @@ def _conditions(history: History) -> RunConditions:
     }
 
 
-def _from_results(stored: Results | None, fault: str | None) -> ResultFacts:
+def _from_results(stored: Mapping[str, Any] | None, fault: str | None) -> ResultFacts:
     results = _part(stored)
     run, calibration = _part(results.get("run")), _part(results.get("calibration"))
     corner = _part(_part(results.get("projection")).get("worst_corner"))
@@ -268,7 +266,7 @@ def _named_hash(entries: Sequence[Entry]) -> str | None:
     return None
 
 
-def _results(named: str | None, folder: Path) -> tuple[Results | None, str | None]:
+def _results(named: str | None, folder: Path) -> tuple[Mapping[str, Any] | None, str | None]:
     """Return results.json of a hash, None where it cannot be used, and what is wrong with it as a sentence."""
     if named is None:
         return None, None
@@ -289,9 +287,9 @@ def _type_of(device: DeviceData) -> str:
     return " ".join(text for key in ("maker", "model") if (text := _text(device.get(key))))
 
 
-def _part(part: _Part | None) -> _Part:
+def _part(part: object) -> Mapping[str, Any]:
     """Return a part of what a file holds; an empty one where the file has none, or something else there."""
-    return part if isinstance(part, Mapping) else cast("_Part", {})
+    return part if isinstance(part, Mapping) else {}
 
 
 def _text(value: object) -> str | None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bench.base.bounded_json import canonical_json
-from bench.record.results import Results
+
+if TYPE_CHECKING:
+    from bench.record.results import Results
 
 Limits = tuple[str, float | None, float | None]
 """A result, its lower and its upper limit."""
@@ -30,11 +32,11 @@ def run_verdict(results: Results) -> RunVerdict:
     if judged is None:
         return RunVerdict(None, {}, limits_stated_before=False, camera=serial)
     by_name: dict[str, list[Limits]] = {}
-    for statement in judged["statements"]:
-        limits = (statement["result"], statement["lower"], statement["upper"])
-        by_name.setdefault(statement["specification"], []).append(limits)
+    for statement in judged.statements:
+        limits = (statement.result, statement.lower, statement.upper)
+        by_name.setdefault(statement.specification, []).append(limits)
     return RunVerdict(
-        "PASS" if judged["passed"] else "FAIL", hashes_of(by_name), limits_stated_before=True, camera=serial
+        "PASS" if judged.passed else "FAIL", hashes_of(by_name), limits_stated_before=True, camera=serial
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from calib.arrays import Array
 from calib.calibration import Calibration, ViewSummary
 from calib.model.camera import PINHOLE, CameraModel
 from calib.model.collimator import CENTRE, Collimator
-from calib.model.result_parts import Boresight, BudgetRow, GimbalEstimate
+from calib.model.result_parts import Boresight
 
 _SAME = (
     *("model", "rms_px", "mean_px", "variance_factor", "degrees_of_freedom", "converged", "iterations"),
@@ -21,17 +21,12 @@ _SAME = (
 """What results.json states of a calibration as `Calibration` holds it."""
 
 
-def calibration_data(calibration: Calibration) -> CalibrationData:
-    """Return ``calibration`` of results.json: the one place where the engine's result gets the type of the file."""
-    return cast("CalibrationData", calibration.to_dict())
-
-
-def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
+def stored_calibration(stored: CalibrationData) -> Calibration:
     """Return the calibration of results.json, without residuals and weights."""
     names = tuple(stored["covariance"]["names"])
     values = {**stored["camera"], **(stored["collimator"] or {})}
     return Calibration(
-        **{name: stored[name] for name in _SAME},
+        **{name: stored[name] for name in _SAME},  # type: ignore[literal-required]
         camera=stored_camera(stored),
         collimator=stored_collimator(stored["collimator"]),
         rotations=np.array([view["rotation"] for view in stored["views"]], np.float64),
@@ -46,11 +41,13 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
         ),
         birge_ratio=stored["disagreement"],
         notes=tuple(stored["notes"]),
-        gimbal=GimbalEstimate(**stored["gimbal"]) if stored.get("gimbal") else None,
+        gimbal=stored.get("gimbal"),
         boresight=Boresight.from_dict(stored["boresight"]) if stored.get("boresight") else None,
-        budget_rows=tuple(BudgetRow(**row) for row in stored["budget_rows"]),
+        budget_rows=tuple(stored["budget_rows"]),
         not_included=tuple(stored["not_included"]),
-        remarks=tuple(stored.get("remarks", ())),
+        remarks=tuple(stored["remarks"]),
+        witnesses=tuple(stored["witnesses"]),
+        amplitudes=tuple(stored["amplitudes"]),
         coverage_factors=stored.get("coverage_factors", {}),
     )
 

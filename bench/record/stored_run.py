@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError
@@ -108,8 +108,8 @@ class StoredRun:
         return results_of(self.results_bytes, self.folder / RESULTS)
 
     @cached_property
-    def results_as_written(self) -> Results:
-        """The same of any version of the program: an object, whose parts are not checked. Raises as `results`."""
+    def results_as_written(self) -> Mapping[str, Any]:
+        """The JSON of any version of the program: an object, whose parts are not checked. Raises as `results`."""
         return object_of(self.results_bytes, self.folder / RESULTS)
 
     @cached_property
@@ -125,7 +125,7 @@ class StoredRun:
         return self.calibration.camera
 
 
-def object_of(data: bytes, where: Path) -> Results:
+def object_of(data: bytes, where: Path) -> Mapping[str, Any]:
     """Read results.json of any version; RunFolderError if it is no object of JSON that two readers read alike."""
     try:
         content: Any = parse_json(data)
@@ -135,16 +135,16 @@ def object_of(data: bytes, where: Path) -> Results:
         ) from error
     if not isinstance(content, dict):
         raise RunFolderError("The results are not a JSON object.", where=str(where))
-    return cast("Results", content)
+    return content
 
 
 def results_of(data: bytes, where: Path) -> Results:
     """Read results.json and check its types; RunFolderError names the first value of another type."""
     from pydantic import ValidationError
 
-    results = object_of(data, where)
+    object_of(data, where)  # bounded, and read alike by all readers
     try:
-        _form().validate_python(results, strict=True)
+        return _form().validate_json(data, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"])) or "the whole file"
@@ -154,13 +154,13 @@ def results_of(data: bytes, where: Path) -> Results:
             where=str(where),
             remedy="Another version of Starbench wrote them, or the file was changed. Read it with that version.",
         ) from error
-    return results
 
 
 @cache
 def _form() -> TypeAdapter[Results]:
-    from pydantic import TypeAdapter
+    from pydantic import ConfigDict, TypeAdapter, with_config
 
     from bench.record.results import Results
 
-    return TypeAdapter(Results)
+    # What the types do not name is kept: a device of a plug-in may have settings of its own.
+    return TypeAdapter(with_config(ConfigDict(extra="allow"))(Results))

@@ -9,16 +9,11 @@ import math
 from typing import Any
 
 from bench.record.coverage import coverage_factor
-from bench.record.results import (
-    BudgetRowData,
-    CalibrationData,
-    GimbalCheckData,
-    Results,
-    WitnessData,
-)
+from bench.record.results import CalibrationData, GimbalComparison, Results
 from bench.report.run_tables import parallax_rows
 from bench.wording.numbers import NOTHING, angle, fixed, number, with_uncertainty
 from bench.wording.target_words import STARS, TargetWords
+from calib.model.result_parts import BudgetRow, Witness
 
 _SHOWN = ("fx", "worst_corner")
 _OF_STARS = "stars"
@@ -65,7 +60,7 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
     rows = calibration["budget_rows"]
     if not rows:
         return None
-    sums = [math.sqrt(sum(row["contribution"][name] ** 2 for row in rows)) for name in _SHOWN]
+    sums = [math.sqrt(sum(row.contribution[name] ** 2 for row in rows)) for name in _SHOWN]
     factors = [coverage_factor(calibration, name) for name in _SHOWN]
     standard = [number(u, 2) for u in sums]
     expanded = [number(k * u, 2) for k, u in zip(factors, sums, strict=True)]
@@ -75,8 +70,8 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
 def overlap(calibration: CalibrationData) -> str:
     """Return what to know if the stated wavefront and common residuals can be of the same glass; else empty."""
     rows = calibration["budget_rows"]
-    stated = [str(row["name"]) for row in rows if row["unit"] == _OF_WAVEFRONT]
-    if not stated or _SHARED not in {row["name"] for row in rows}:
+    stated = [row.name for row in rows if row.unit == _OF_WAVEFRONT]
+    if not stated or _SHARED not in {row.name for row in rows}:
         return ""
     return (
         f"The rows \N{LEFT DOUBLE QUOTATION MARK}{stated[0]}\N{RIGHT DOUBLE QUOTATION MARK} and"
@@ -91,27 +86,27 @@ def not_included(calibration: CalibrationData) -> list[tuple[str, str]]:
     return [(name, effect) for name, _, effect in lines]
 
 
-def _printed(row: BudgetRowData, words: TargetWords) -> dict[str, Any]:
+def _printed(row: BudgetRow, words: TargetWords) -> dict[str, Any]:
     """Return a row as printed."""
-    of_stars = row["name"] == _OF_STARS  # of the points, if a board is seen
-    scale = 1e6 if row["unit"] == "1" else 1.0
-    base, _, where = str(row["unit"]).partition(" ")
+    of_stars = row.name == _OF_STARS  # of the points, if a board is seen
+    scale = 1e6 if row.unit == "1" else 1.0
+    base, _, where = row.unit.partition(" ")
     unit = _UNITS.get(base, base)
-    value, sensitivity, divisor = row.get("value"), row.get("sensitivity") or {}, row.get("divisor")
-    distribution = str(row["distribution"])
+    value, divisor = row.value, row.divisor
+    distribution = row.distribution
     if divisor is not None and abs(divisor - 1.0) > 1e-9:
-        distribution += f", divisor {number(float(divisor), 3)}"
-    elif value is None and row.get("degrees_of_freedom") is not None:
-        distribution += f", \N{GREEK SMALL LETTER NU} = {row['degrees_of_freedom']:.0f}"
-    contribution, share = row["contribution"], row["share"]
+        distribution += f", divisor {number(divisor, 3)}"
+    elif value is None and row.degrees_of_freedom is not None:
+        distribution += f", \N{GREEK SMALL LETTER NU} = {row.degrees_of_freedom:.0f}"
+    contribution, share = row.contribution, row.share
     return {
-        "name": words.points if of_stars else str(row["name"]),
-        "type": str(row["type"]),
-        "source": str(row["source"]),
+        "name": words.points if of_stars else row.name,
+        "type": row.type,
+        "source": row.source,
         "value": NOTHING if value is None else _stated(scale * value, unit, where),
         "distribution": distribution,
-        "sensitivity": f"{number(float(sensitivity['fx']) / scale, 3)} px / {unit}"
-        if sensitivity
+        "sensitivity": f"{number(row.sensitivity['fx'] / scale, 3)} px / {unit}"
+        if row.sensitivity
         else NOTHING,
         "lengths": [_length(contribution[name]) for name in _SHOWN],
         "shares": [share[name] for name in _SHOWN],
@@ -138,21 +133,21 @@ def witness_rows(calibration: CalibrationData) -> list[dict[str, str]]:
     """List the statements, those that are most at odds with the others first."""
     by_doubt = sorted(
         calibration["witnesses"],
-        key=lambda witness: (-witness["fault_probability"], -abs(witness["innovation"])),
+        key=lambda witness: (-witness.fault_probability, -abs(witness.innovation)),
     )
     return [_row(witness) for witness in by_doubt]
 
 
-def _row(witness: WitnessData) -> dict[str, str]:
-    size = abs(witness["innovation"])
-    doubted = witness["fault_probability"] >= _DOUBTED or size >= _CONTRADICTION
+def _row(witness: Witness) -> dict[str, str]:
+    size = abs(witness.innovation)
+    doubted = witness.fault_probability >= _DOUBTED or size >= _CONTRADICTION
     return {
-        "name": witness["name"],
-        "source": witness["source"],
-        "stated": _value(witness["stated"], witness["sigma"], witness["unit"]),
-        "expected": _value(witness["expected"], witness["expected_sigma"], witness["unit"]),
-        "innovation": fixed(witness["innovation"], 1),
-        "fault": f"{100 * witness['fault_probability']:.0f} %",
+        "name": witness.name,
+        "source": witness.source,
+        "stated": _value(witness.stated, witness.sigma, witness.unit),
+        "expected": _value(witness.expected, witness.expected_sigma, witness.unit),
+        "innovation": fixed(witness.innovation, 1),
+        "fault": f"{100 * witness.fault_probability:.0f} %",
         "verdict": "fail" if doubted else "marginal" if size > _UNUSUAL else "pass",
     }
 
@@ -230,22 +225,22 @@ def checks(results: Results) -> list[tuple[str, str]]:
     """Describe the checks that do not influence the result: split half, the gimbal's readings, the parallax."""
     rows = []
     if halves := results.get("halves"):
-        difference = f"RMS difference {number(halves['rms_px'], 3)} px over the sensor, "
-        difference += f"at most {number(halves['worst_px'], 3)} px; "
-        difference += f"expected from the uncertainties: {number(halves['expected_px'], 3)} px"
+        difference = f"RMS difference {number(halves.rms_px, 3)} px over the sensor, "
+        difference += f"at most {number(halves.worst_px, 3)} px; "
+        difference += f"expected from the uncertainties: {number(halves.expected_px, 3)} px"
         rows.append(("Split half: every other pose against the rest", difference))
     if gimbal := results.get("gimbal"):
         rows += _gimbal(gimbal)
     return rows + parallax_rows(results.get("parallax"))
 
 
-def _gimbal(gimbal: GimbalCheckData) -> list[tuple[str, str]]:
+def _gimbal(gimbal: GimbalComparison) -> list[tuple[str, str]]:
     """Describe the hand-eye check."""
-    text = f"RMS difference {angle(gimbal['rms_arcsec'])}."
+    text = f"RMS difference {angle(gimbal.rms_arcsec)}."
     rows = [("Hand-eye check: rotations against the gimbal's readings", text)]
-    rows.append((_VERDICTS[gimbal["verdict"]], " ".join(gimbal["says"])))
-    for axis, scale in gimbal["scale"].items():
-        value, expanded = with_uncertainty(scale, 2 * gimbal["scale_sigma"][axis])
+    rows.append((_VERDICTS[gimbal.verdict], " ".join(gimbal.says)))
+    for axis, scale in gimbal.scale.items():
+        value, expanded = with_uncertainty(scale, 2 * gimbal.scale_sigma[axis])
         rows.append(
             (f"Angle seen over angle read, {axis.removesuffix('_deg')}", f"{value} ± {expanded} (k = 2)")
         )

@@ -27,7 +27,7 @@ _CORNERS = (0, 8, 16, 24)
 
 def pose_scene(calibration: CalibrationData) -> str:
     """Draw camera, target plane and what each pose saw of it; empty if no pose has a rotation and a place."""
-    views = [view for view in calibration["views"] if "rotation" in view and "centre_mm" in view]
+    views = calibration["views"]
     shown = views[:: max(1, -(-len(views) // _MOST))]
     camera = camera_of(calibration["camera"], calibration["image_size"])
     scenes = [

@@ -9,14 +9,13 @@ from bench.base.failure import FailureData
 from bench.record.device_end import DeviceEnd, DeviceEndData
 from bench.record.events import LedgerPlace
 from bench.record.results import (
-    CheckData,
-    GimbalEstimateData,
-    GimbalReadingsData,
     Numbers,
     ParallaxData,
-    PassportData,
+    ReadingsUse,
     Results,
     RunData,
+    StatedCheck,
+    StatedPassport,
 )
 from bench.report.pose_tables import gates
 from bench.wording.camera_check import check_sentences
@@ -25,6 +24,7 @@ from bench.wording.earlier_runs import earlier_runs
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import NOTHING, exact, moment, number, value_text, with_uncertainty
 from bench.wording.target_words import words_of
+from calib.model.result_parts import GimbalEstimate
 
 Rows = list[tuple[str, str]]
 
@@ -41,66 +41,66 @@ _NO_BORESIGHT = "not determined: two axes of the stage must move, and the sign o
 _UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
 
 
-def passport_rows(passport: PassportData | None) -> Rows:
+def passport_rows(passport: StatedPassport | None) -> Rows:
     """List what the results state about the collimator's passport; none without a passport."""
     if not passport:
         return []
-    sigma = passport["sigma"]
-    kept = ("x", "y", "r") if len(passport["values"]) > 1 else tuple(passport["values"])
+    sigma = passport.sigma
+    kept = ("x", "y", "r") if len(passport.values) > 1 else tuple(passport.values)
     values = [
         f"{name} = {exact(value)} mm, standard uncertainty {sigma[name]:.2g} mm"
-        for name, value in passport["values"].items()
+        for name, value in passport.values.items()
         if name in kept
     ]
-    if others := [name for name in passport["values"] if name not in kept]:
+    if others := [name for name in passport.values if name not in kept]:
         values.append(f"and {', '.join(others)}")
     stated = [
-        f"number {passport['number']}" if passport["number"] else "",
-        f"of the collimator {passport['collimator']}" if passport["collimator"] else "",
-        f"dated {passport['date']}" if passport["date"] else "",
-        f"valid until {passport['valid_until']}" if passport["valid_until"] else "",
-        f"at {passport['temperature_c']:g} °C" if passport["temperature_c"] is not None else "",
-        f"{_ORIGINS.get(passport['source'], passport['source'])} ({passport['name']})",
+        f"number {passport.number}" if passport.number else "",
+        f"of the collimator {passport.collimator}" if passport.collimator else "",
+        f"dated {passport.date}" if passport.date else "",
+        f"valid until {passport.valid_until}" if passport.valid_until else "",
+        f"at {passport.temperature_c:g} °C" if passport.temperature_c is not None else "",
+        f"{_ORIGINS.get(passport.source, passport.source)} ({passport.name})",
     ]
     return [
         ("Collimator passport", ", ".join(part for part in stated if part)),
         ("Values of the passport", "; ".join(values)),
-        ("SHA-256 of the passport", str(passport["sha256"])),
+        ("SHA-256 of the passport", passport.sha256),
         *_seal_rows(passport),
     ]
 
 
-def _seal_rows(passport: PassportData) -> Rows:
+def _seal_rows(passport: StatedPassport) -> Rows:
     """Return the seal of a passport; no row for the values of a station's certificate."""
-    if passport["source"] == "station certificate":
+    if passport.source == "station certificate":
         return []
-    return [("Seal of the passport", str(passport["sealed_by"] or "none: the file is not sealed"))]
+    return [("Seal of the passport", str(passport.sealed_by or "none: the file is not sealed"))]
 
 
-def readings_rows(readings: GimbalReadingsData | None, estimate: GimbalEstimateData | None) -> Rows:
+def readings_rows(readings: ReadingsUse | None, estimate: GimbalEstimate | None) -> Rows:
     """List whether the gimbal's readings entered the calibration, with what statement, or why they did not."""
     if not readings:
         return []
     rows: Rows = []
-    if readings["entered"]:
+    if readings.entered:
         rows.append(("Gimbal readings", f"entered the adjustment as measurements{_agreement(estimate)}"))
     else:
-        rows.append(("Gimbal readings", f"compared with the result only. {readings['why_not']}"))
-    stated, bound = readings["statement"], readings["bound"]
+        rows.append(("Gimbal readings", f"compared with the result only. {readings.why_not}"))
+    stated, bound = readings.statement, readings.bound
     if stated:
         text = (
-            f"reading {stated['reading_sigma_deg']:g}°, scale {stated['scale_sigma']:g}, "
-            f"eccentricity {stated['eccentricity_deg']:g}° (standard uncertainties; source: {stated['source']})"
+            f"reading {stated.reading_sigma_deg:g}°, scale {stated.scale_sigma:g}, "
+            f"eccentricity {stated.eccentricity_deg:g}° (standard uncertainties; source: {stated.source})"
         )
         rows.append(("Uncertainty of the readings", text + (f"; {_bound(bound)}" if bound else "")))
     return rows
 
 
-def check_rows(check: CheckData | None) -> Rows:
+def check_rows(check: StatedCheck | None) -> Rows:
     """List what the check of a stated calibration found: one row, or none without a check."""
     if check is None:
         return []
-    stated = check.get("stated", {})
+    stated = check.stated
     whose = (
         ""
         if stated.get("uncertainty")
@@ -114,13 +114,13 @@ def boresight_rows(results: Results) -> Rows:
     calibration = results["calibration"]
     estimate, boresight = calibration.get("gimbal"), calibration.get("boresight")
     if boresight is None:
-        return [("Boresight", _NO_BORESIGHT)] if estimate and estimate["entered"] else []
+        return [("Boresight", _NO_BORESIGHT)] if estimate and estimate.entered else []
     turned = _degrees("xyz", boresight["vector_deg"], boresight["expanded_deg"])
     looks = _degrees(("right", "down"), boresight["right_down_deg"], boresight["sight_expanded_deg"])
     faces = [
         (
-            f"Boresight: middle of the image against the face {face['name']}",
-            _degrees(("angle",), [face["angle_deg"]], [face["expanded_deg"]]),
+            f"Boresight: middle of the image against the face {face.name}",
+            _degrees(("angle",), [face.angle_deg], [face.expanded_deg]),
         )
         for face in results.get("mount_faces", ())
     ]
@@ -156,19 +156,19 @@ def parallax_rows(parallax: ParallaxData | None) -> Rows:
     return rows
 
 
-def _agreement(estimate: GimbalEstimateData | None) -> str:
+def _agreement(estimate: GimbalEstimate | None) -> str:
     """Return how the readings agree with the stars."""
     if not estimate:
         return ""
     enlarged = (
-        f"; entered with a standard uncertainty of {estimate['reading_sigma_deg']:.3g}°, because they scatter more "
+        f"; entered with a standard uncertainty of {estimate.reading_sigma_deg:.3g}°, because they scatter more "
         "than stated"
-        if estimate["scatter"] > 1
+        if estimate.scatter > 1
         else ""
     )
     return (
-        f"; chi-square {estimate['chi_square']:.3g} with {estimate['degrees_of_freedom']} degrees of freedom, "
-        f"{3600 * estimate['rms_deg']:.2g} arc seconds RMS{enlarged}"
+        f"; chi-square {estimate.chi_square:.3g} with {estimate.degrees_of_freedom} degrees of freedom, "
+        f"{3600 * estimate.rms_deg:.2g} arc seconds RMS{enlarged}"
     )
 
 
@@ -265,7 +265,7 @@ def identification(results: Results) -> list[tuple[str, str]]:
 def inputs(results: Results) -> list[tuple[str, str]]:
     """List what the calibration used besides its recordings: the passport of the collimator, the gimbal's readings."""
     readings = results.get("gimbal_readings")
-    if readings and words_of(results).is_board and not readings["entered"]:
+    if readings and words_of(results).is_board and not readings.entered:
         readings = None  # the board was moved, not the camera
     return [
         *passport_rows(results.get("passport")),

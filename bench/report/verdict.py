@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any
 
 from bench.record.coverage import coverage_factor, factors_text
-from bench.record.results import CalibrationData, CameraData, ChangeData, Results
+from bench.record.results import CalibrationData, CameraData, ProjectionChange, Results
 from bench.report import calibration_tables, pose_tables, run_tables
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import NOTHING, angle_text, exact, fixed, moment, number, with_uncertainty
@@ -60,8 +60,8 @@ def change_sentence(results: Results) -> str:
     if not change:
         return str(previous.get("why_not") or "")
     since = f"Since the last calibration of this camera ({previous['run']}{_earlier(results)})"
-    largest = f"largest change {number(change['largest_px'], 2)} px"
-    if change["largest_ratio"] <= 1:
+    largest = f"largest change {number(change.largest_px, 2)} px"
+    if change.largest_ratio <= 1:
         return f"{since}: no change beyond the uncertainty; {largest}."
     return f"{since}: changed by up to {_times_u(change)} at one place; {largest}."
 
@@ -106,19 +106,19 @@ def _row(name: str, then: CameraData, now: CameraData) -> dict[str, Any]:
     }
 
 
-def _over_sensor(change_data: ChangeData | None) -> str:
+def _over_sensor(change_data: ProjectionChange | None) -> str:
     if not change_data:
         return ""
-    column, row = change_data["at_px"]
+    column, row = change_data.at_px
     return (
-        f"Over the sensor, the same direction is projected {number(change_data['rms_px'], 2)} px (RMS) and at most "
-        f"{number(change_data['largest_px'], 2)} px apart. Compared with its expanded uncertainty, the change is "
+        f"Over the sensor, the same direction is projected {number(change_data.rms_px, 2)} px (RMS) and at most "
+        f"{number(change_data.largest_px, 2)} px apart. Compared with its expanded uncertainty, the change is "
         f"largest at column {exact(round(column))}, row {exact(round(row))}: {_times_u(change_data)}."
     )
 
 
-def _times_u(change_data: ChangeData) -> str:
-    return f"{number(change_data['px_there'], 2)} px = {number(change_data['largest_ratio'], 2)} U"
+def _times_u(change_data: ProjectionChange) -> str:
+    return f"{number(change_data.px_there, 2)} px = {number(change_data.largest_ratio, 2)} U"
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def verdict(results: Results) -> Verdict:
         kind, headline = "marginal", "Calibrated, with reservations."
     if conformity := results.get("conformity"):
         headline = f"{conformity_headline(conformity)} {headline}"
-        kind = kind if conformity["passed"] else "fail"
+        kind = kind if conformity.passed else "fail"
     sentences = (
         *(conformity_sentences(conformity) if conformity else ()),
         _focal_lengths(calibration),
@@ -194,10 +194,10 @@ def _directions(results: Results) -> str:
             f"Error of an image point in the worst corner: at most {sums[1][1]} px (k = {k})." if sums else ""
         )
     corner, middle = (
-        f"{angle_text(direction['expanded_urad'])} = {number(direction['expanded_px'], 2)} px"
-        for direction in (facts["worst_corner"], facts["median"])
+        f"{angle_text(direction.expanded_urad)} = {number(direction.expanded_px, 2)} px"
+        for direction in (facts.worst_corner, facts.median)
     )
-    where = facts["worst_corner"]["corner"]
+    where = facts.worst_corner.corner
     return (
         f"Error of a direction: at most {corner} in the worst corner ({where}); "
         f"{middle} in the median over the sensor (k = {k})."
@@ -207,14 +207,14 @@ def _directions(results: Results) -> str:
 def _support(results: Results) -> str:
     """Return how much of the sensor the stars support, and the uncertainty there."""
     facts = results.get("projection")
-    supported = facts["supported"] if facts else None
+    supported = facts.supported if facts else None
     if not supported:
         return ""
-    share = f"{words_of(results).capital} are near {100 * supported['share']:.0f} % of the sensor"
-    if supported["expanded_px"] is None or supported["expanded_urad"] is None or supported["share"] >= 0.995:
+    share = f"{words_of(results).capital} are near {100 * supported.share:.0f} % of the sensor"
+    if supported.expanded_px is None or supported.expanded_urad is None or supported.share >= 0.995:
         return f"{share}."
     k = _k(coverage_factor(results["calibration"]))
-    there = f"{angle_text(supported['expanded_urad'])} = {number(supported['expanded_px'], 2)} px"
+    there = f"{angle_text(supported.expanded_urad)} = {number(supported.expanded_px, 2)} px"
     return f"{share}; there, the error of a direction is at most {there} (k = {k}). Elsewhere, the model extrapolates."
 
 

@@ -12,13 +12,7 @@ from dataclasses import asdict
 import numpy as np
 
 from bench.measure.expected_grid import engine_angles_deg
-from bench.record.results import (
-    GimbalCheckData,
-    HalvesData,
-    MountFaceData,
-    Numbers,
-    ParallaxData,
-)
+from bench.record.results import GimbalComparison, Halves, MountFace, Numbers, ParallaxData
 from bench.stations.station import Station
 from bench.stations.station_budget import GimbalConfig
 from calib.diagnosis.gimbal_faults import GimbalFault
@@ -40,7 +34,7 @@ PARALLAX_TEST = "Parallax test"
 _CONTRADICTED = 2.5
 
 
-def split_half_check(views: Sequence[View], options: CalibrationOptions) -> HalvesData | None:
+def split_half_check(views: Sequence[View], options: CalibrationOptions) -> Halves | None:
     """Calibrate every other pose and the rest separately; compare the projections of both cameras at infinity.
 
     ``rms_px worst_px expected_px ratio``; None with fewer than four views, or if a half determines no camera.
@@ -49,17 +43,12 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> Halv
         split = split_half(views, options)
     except CalibrationError:  # too few poses, or a half that constrains nothing: there is no such check then
         return None
-    return {
-        "rms_px": split.difference.rms_px,
-        "worst_px": split.difference.worst_px,
-        "expected_px": split.expected_px,
-        "ratio": split.ratio,
-    }
+    return Halves(split.difference.rms_px, split.difference.worst_px, split.expected_px, split.ratio)
 
 
 def gimbal_check(
     calibration: Calibration, readings_deg: Sequence[Mapping[str, float]], stated: GimbalConfig | None = None
-) -> GimbalCheckData | None:
+) -> GimbalComparison | None:
     """Compare the estimated rotations with the gimbal's readings; ``pan_encoder`` replaces ``pan`` (docs/results.md).
 
     Within what the station states of the gimbal, nothing is a fault; over few degrees, an eccentricity is a scale.
@@ -83,18 +72,18 @@ def gimbal_check(
     entered = calibration.gimbal is not None and calibration.gimbal.entered
     faults = [_fault(check_fault) for check_fault in check.faults]
     slips = [fault for fault in faults if fault["kind"] == "slip"]
-    return {
-        "rms_arcsec": check.rms_arcsec,
-        "scale": dict(check.scale),
-        "scale_sigma": dict(check.scale_sigma),
-        "agrees": check.verdict.kind == "agrees",
-        "excess_arcsec": check.excess_arcsec,
-        "verdict": check.verdict.kind,
-        "says": [*check.verdict.says, *(_NOT_INDEPENDENT if entered else ())],
-        "pairs": asdict(check.pairs) if check.pairs is not None else None,
-        "slip": slips[0] if slips else None,
-        "faults": faults,
-    }
+    return GimbalComparison(
+        rms_arcsec=check.rms_arcsec,
+        scale=check.scale,
+        scale_sigma=check.scale_sigma,
+        agrees=check.verdict.kind == "agrees",
+        excess_arcsec=check.excess_arcsec,
+        verdict=check.verdict.kind,
+        says=[*check.verdict.says, *(_NOT_INDEPENDENT if entered else ())],
+        pairs=asdict(check.pairs) if check.pairs is not None else None,
+        slip=slips[0] if slips else None,
+        faults=faults,
+    )
 
 
 def _focal_uncertainty(calibration: Calibration) -> float | None:
@@ -117,23 +106,16 @@ def _fault(fault: GimbalFault) -> dict[str, str | float | bool | None]:
     }
 
 
-def mount_faces(calibration: Calibration, station: Station) -> list[MountFaceData] | None:
+def mount_faces(calibration: Calibration, station: Station) -> list[MountFace] | None:
     """Return ``mount_faces`` of docs/results.md; None without stated faces or without a boresight."""
     boresight = calibration.boresight
     if boresight is None or station.gimbal is None or not station.gimbal.faces:
         return None
-    answer: list[MountFaceData] = []
+    answer: list[MountFace] = []
     for name, face in station.gimbal.faces.items():
         angle, expanded = boresight.angle_to(np.array(face.normal), math.radians(face.sigma_deg))
         normal = boresight.rotation @ np.array(face.normal) / np.linalg.norm(face.normal)
-        answer.append(
-            {
-                "name": name,
-                "normal_in_camera": normal.tolist(),
-                "angle_deg": angle,
-                "expanded_deg": expanded,
-            }
-        )
+        answer.append(MountFace(name, normal.tolist(), angle, expanded))
     return answer
 
 

@@ -13,7 +13,7 @@ from bench.record.ledger import Ledger
 from bench.record.ledger_marks import LedgerRun
 from bench.record.results import Results
 from bench.record.run_folder import MANIFEST, RESULTS
-from bench.record.stored_run import object_of
+from bench.record.stored_run import results_of
 
 _MOST_READ = 20
 """Runs whose results are read before the search is given up."""
@@ -77,7 +77,7 @@ def read_sealed(folder: Path, seal: str) -> tuple[Results, str]:
         data = b"" if (folder / RESULTS).stat().st_size > _LARGEST_BYTES else (folder / RESULTS).read_bytes()
         if _sha256(data) != listed:
             raise NotComparableError("its results were changed after sealing.")
-        return object_of(data, folder / RESULTS), listed
+        return results_of(data, folder / RESULTS), listed
     except OSError as error:
         raise NotComparableError("its folder cannot be read.") from error
     except (BenchError, ValueError) as error:

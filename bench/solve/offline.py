@@ -16,8 +16,7 @@ from bench.measure.views_file import StoredView
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.conformity import conformity
-from bench.record.results import ConformityData, GimbalReadingsData
-from bench.record.stored_calibration import calibration_data
+from bench.record.results import Conformity, ReadingsUse
 from bench.solve.loose_recordings import RECORDINGS, camera_serial, first_names, used_recordings
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.solution import calibrated
@@ -75,14 +74,14 @@ class OfflineResult:
         return jobs[0] if len(jobs) == 1 else None
 
     @property
-    def conformity(self) -> ConformityData | None:
+    def conformity(self) -> Conformity | None:
         """PASS or FAIL by the limits of the run's station and sequence; None if there are none."""
         if self.job is None:
             return None
-        return conformity(calibration_data(self.calibration), self.job.limits, [])
+        return conformity(self.calibration, self.job.limits, [])
 
     @property
-    def readings(self) -> GimbalReadingsData | None:
+    def readings(self) -> ReadingsUse | None:
         """Whether the gimbal's readings entered, as results.json states it; None if the views are not of one run."""
         job = self.job
         if job is None:

@@ -20,7 +20,7 @@ from bench.measure.views_file import VIEWS, views_file
 from bench.plan.job import Job
 from bench.record.run_folder import MANIFEST, PASSPORT_COPY, RESULTS, SOURCES, is_sealed
 from bench.record.storage import sha256_of, storage_errors, write_files
-from bench.record.stored_calibration import calibration_data
+from bench.record.stored_run import results_of
 from bench.solve import results_content
 from bench.solve.offline import OfflineResult
 from bench.solve.result import shown_files
@@ -94,8 +94,10 @@ def offline_files(
     if result.passport is not None:
         files[PASSPORT_COPY] = result.passport.data
     target = result.board or result.target
-    files |= shown_files(results, result.calibration, camera_name, target, result.stored_views)
-    files[RESULTS] = canonical_json(results)
+    data = canonical_json(results)
+    shown = results_of(data, Path(name) / RESULTS)  # the report is made of what a reader gets
+    files |= shown_files(shown, result.calibration, camera_name, target, result.stored_views)
+    files[RESULTS] = data
     return files
 
 
@@ -115,7 +117,7 @@ def offline_results(
         "schema": results_content.SCHEMA,
         "run": _run_facts(result, name, sealed_by),
         "devices": {},
-        "calibration": calibration_data(result.calibration),
+        "calibration": result.calibration.to_dict(),
         "projection": projection(result.calibration, result.views),
         "passport": result.passport.to_dict() if result.passport else None,
         "gimbal_readings": result.readings,

@@ -30,10 +30,11 @@ from bench.record.history import History
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.ledger_marks import LedgerRun
 from bench.record.recovery import EXPORTS
-from bench.record.results import CameraData, ChangeData, PreviousData, Results
+from bench.record.results import CameraData, PreviousData, ProjectionChange, Results
 from bench.record.run_folder import REPORT, RESULTS, RunFolder
 from bench.record.run_log import RunLog
 from bench.record.stored_calibration import camera_covariance
+from bench.record.stored_run import results_of
 from bench.report.html import ReportData, render_report
 from bench.report.maps import change_maps
 from bench.report.pictured_poses import pictured_poses
@@ -114,14 +115,14 @@ class ResultWriter:
             )
         solution = self._solution
         with log.held() as history:
-            head, results = (
-                log.journal.head,
-                results_content(self._job, history, solution, truth, run_software(self._job.station)),
-            )
+            head = log.journal.head
+            content = results_content(self._job, history, solution, truth, run_software(self._job.station))
             ledger = history.ledger
-        if previous := previous_calibration(bench_ledger(), ledger, results):
-            results["previous"] = previous
-        self._folder.write_atomic(RESULTS, canonical_json(results))
+        if previous := previous_calibration(bench_ledger(), ledger, content):
+            content["previous"] = previous
+        data = canonical_json(content)
+        results = results_of(data, self._folder.path / RESULTS)  # the report is made of what a reader gets
+        self._folder.write_atomic(RESULTS, data)
         self._folder.write_atomic(VIEWS, views_file(solution.views))
         shown = shown_files(
             results, solution.calibration, self._job.camera_name, self._job.target, solution.views, head
@@ -154,7 +155,7 @@ def shown_files(
 
 
 def previous_calibration(
-    ledger: Ledger, place: Mapping[str, object], results: Results
+    ledger: Ledger, place: Mapping[str, object], results: Mapping[str, Any]
 ) -> PreviousData | None:
     """Return the camera's last calibration before this run in the ledger, and the change since, for ``previous``."""
     if not place:
@@ -176,7 +177,7 @@ def previous_calibration(
     return {"run": None, "why_not": why}
 
 
-def _refuse_other_camera(earlier: Results, results: Results) -> None:
+def _refuse_other_camera(earlier: Results, results: Mapping[str, Any]) -> None:
     """Refuse a result whose images, lens or lens model are others."""
     then, now = earlier["calibration"], results["calibration"]
     if not then["converged"]:
@@ -190,14 +191,11 @@ def _refuse_other_camera(earlier: Results, results: Results) -> None:
         raise NotComparableError(f"the camera had another lens: {lens or 'not stated'}.")
 
 
-def _compared(run: LedgerRun, last: Results, sha256: str, results: Results) -> PreviousData:
+def _compared(run: LedgerRun, last: Results, sha256: str, results: Mapping[str, Any]) -> PreviousData:
     """Return the earlier calibration with the change of the projection, in px and in units of its uncertainty."""
-    try:
-        _refuse_other_camera(last, results)
-        then = last["calibration"]
-        covariance = camera_covariance(then["camera"], then.get("covariance"))
-    except (KeyError, TypeError, AttributeError) as error:
-        raise NotComparableError("its results are not readable.") from error
+    _refuse_other_camera(last, results)
+    then = last["calibration"]
+    covariance = camera_covariance(then["camera"], then.get("covariance"))
     if covariance is None:
         raise NotComparableError("its uncertainties are not complete.")
     run_of, conditions = last["run"], last.get("conditions")
@@ -223,7 +221,7 @@ def _compared(run: LedgerRun, last: Results, sha256: str, results: Results) -> P
     }
 
 
-def change_since(then: CameraData, now: CameraData) -> ChangeData | None:
+def change_since(then: CameraData, now: CameraData) -> ProjectionChange | None:
     """Return ``change`` of results.json, the projection's over the sensor; None without a covariance."""
     maps = change_maps(then, now)
     if maps is None:
@@ -234,10 +232,10 @@ def change_since(then: CameraData, now: CameraData) -> ChangeData | None:
         return None
     ratio = offset[seen] / expanded[seen]
     worst = int(np.argmax(ratio))
-    return {
-        "rms_px": float(np.sqrt(np.mean(offset[seen] ** 2))),
-        "largest_px": float(offset[seen].max()),
-        "largest_ratio": float(ratio[worst]),
-        "px_there": float(offset[seen][worst]),
-        "at_px": maps[0].reshape(-1, 2)[seen][worst].tolist(),
-    }
+    return ProjectionChange(
+        rms_px=float(np.sqrt(np.mean(offset[seen] ** 2))),
+        largest_px=float(offset[seen].max()),
+        largest_ratio=float(ratio[worst]),
+        px_there=float(offset[seen][worst]),
+        at_px=maps[0].reshape(-1, 2)[seen][worst].tolist(),
+    )

@@ -20,13 +20,13 @@ from bench.record.history import Attempt, History
 from bench.record.measured_facts import GateData
 from bench.record.results import (
     Conditions,
+    Direction,
     PoseData,
-    ProjectionData,
-    Results,
+    Projection,
     RunData,
     SupportedPart,
+    WorstCorner,
 )
-from bench.record.stored_calibration import calibration_data
 from bench.report.supported import reach_px, star_distance
 from bench.solve.solution import Solution, compare_with_truth
 from calib.calibration import Calibration, ViewSummary
@@ -48,7 +48,7 @@ SCHEMA = "starbench/results/1"
 
 def projection_facts(
     camera: CameraModel, covariance: Array, k: float, points: Sequence[Array]
-) -> ProjectionData | None:
+) -> Projection | None:
     """Return ``projection`` of results.json: the expanded uncertainty of a direction, and the part stars support.
 
     By the camera's covariance, (K, K), along the worse direction; U = k u (JCGM 100:2008, 6.2.1); ``points`` (N, 2) px
@@ -61,19 +61,13 @@ def projection_facts(
         return None
     worst = max(known, key=lambda name: known[name])
     middle_px, middle_arcsec = np.nanmedian(uncertainty.sigma_px), np.nanmedian(uncertainty.sigma_arcsec)
-    return {
-        "coverage_factor": k,
-        "worst_corner": {
-            "corner": worst,
-            "expanded_px": k * known[worst],
-            "expanded_urad": k * URAD_PER_ARCSEC * float(uncertainty.sigma_arcsec[_CORNERS[worst]]),
-        },
-        "median": {
-            "expanded_px": k * float(middle_px),
-            "expanded_urad": k * URAD_PER_ARCSEC * float(middle_arcsec),
-        },
-        "supported": _supported(uncertainty, np.concatenate(points), size, k) if points else None,
-    }
+    worst_urad = URAD_PER_ARCSEC * float(uncertainty.sigma_arcsec[_CORNERS[worst]])
+    return Projection(
+        k,
+        WorstCorner(worst, k * known[worst], k * worst_urad),
+        Direction(k * float(middle_px), k * URAD_PER_ARCSEC * float(middle_arcsec)),
+        _supported(uncertainty, np.concatenate(points), size, k) if points else None,
+    )
 
 
 def _supported(
@@ -87,12 +81,12 @@ def _supported(
         float(np.max(values[near])) if near.any() else None
         for values in (projection_map.sigma_px, projection_map.sigma_arcsec)
     ]
-    return {
-        "reach_px": reach,
-        "share": float(np.mean(distance <= reach)),
-        "expanded_px": None if inside[0] is None else k * inside[0],
-        "expanded_urad": None if inside[1] is None else k * URAD_PER_ARCSEC * inside[1],
-    }
+    return SupportedPart(
+        reach,
+        float(np.mean(distance <= reach)),
+        None if inside[0] is None else k * inside[0],
+        None if inside[1] is None else k * URAD_PER_ARCSEC * inside[1],
+    )
 
 
 def results_content(
@@ -101,23 +95,22 @@ def results_content(
     solution: Solution,
     truth: Mapping[str, Any] | None,
     software_used: Mapping[str, str],
-) -> Results:
+) -> dict[str, Any]:
     """Return the content of results.json of a run, without the comparison with an earlier run.
 
-    The parts are in the order of the file; those that do not apply are missing.
+    The parts are in the order of the file; those that do not apply are missing. `Results` is what a reader gets of it.
     """
     calibration, checks = solution.calibration, solution.checks
-    made = calibration_data(calibration)
     gates = [gate.as_data() for gate in solution.judged] + _pose_gates(history)
     failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
     # PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any.
-    judged_limits = conformity(made, job.limits, failed, checks=checks.check is not None)
-    results: Results = {
+    judged_limits = conformity(calibration, job.limits, failed, checks=checks.check is not None)
+    results: dict[str, Any] = {
         "schema": SCHEMA,
         "run": {**run_data(job, history), "software": dict(software_used)},
         "devices": history.devices,
         "conditions": _conditions(history, job.camera_kind),
-        "calibration": made,
+        "calibration": calibration.to_dict(),
         "projection": projection(calibration, [view.view for view in solution.views]),
         "passport": solution.passport.to_dict() if solution.passport else None,
         "gimbal_readings": solution.readings,
@@ -131,7 +124,7 @@ def results_content(
     if checks.mount_faces is not None:
         results["mount_faces"] = checks.mount_faces
     if checks.check is not None:
-        results["check"] = checks.check
+        results["check"] = checks.check.to_dict()
     results["poses"] = pose_data(history, calibration.views, job.camera_kind)
     results["gates"] = gates
     if judged_limits is not None:
@@ -169,7 +162,7 @@ def run_data(job: Job, history: History) -> RunData:
     return run
 
 
-def _add_course(results: Results, history: History) -> None:
+def _add_course(results: dict[str, Any], history: History) -> None:
     """Add what happened on the way: decisions, deviations, pauses, failures, how devices were left, states."""
     if history.decisions:
         results["untils"] = list(history.decisions)
@@ -182,7 +175,7 @@ def _add_course(results: Results, history: History) -> None:
     results["states"] = list(history.states)
 
 
-def projection(calibration: Calibration, views: Sequence[View]) -> ProjectionData | None:
+def projection(calibration: Calibration, views: Sequence[View]) -> Projection | None:
     """Return ``projection`` of results.json; None if no corner of the sensor has an uncertainty."""
     camera = calibration.camera
     k = calibration.coverage_factors.get(WORST_CORNER, calibration.coverage_factor)

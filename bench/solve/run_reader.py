@@ -11,16 +11,17 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import RunFolderError
 from bench.record.results import Results
 from bench.record.run_folder import REPORT, RESULTS
 from bench.record.stored_calibration import stored_calibration
-from bench.record.stored_run import StoredRun
+from bench.record.stored_run import StoredRun, results_of
 from calib.calibration import Calibration
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
@@ -89,7 +90,7 @@ class Run:
         The run folder.
     results
         The content of `results.json` (docs/results.md). A run without this file has ``calibration`` and ``poses``
-        only, calculated again from its captures.
+        only, calculated again from its captures, beside its ``id``.
     calibration
         The result, as `calib.calibrate` returns it, without residuals and weights; it prints a summary.
     poses
@@ -248,8 +249,8 @@ def _poses(folder: Path, results: Results, views: Sequence[StoredView]) -> list[
             name,
             np.array(view["rotation"], np.float64),
             np.array(view["centre_mm"], np.float64),
-            recorded[name]["commanded_deg"],
-            recorded[name]["measured_deg"],
+            recorded[name]["commanded_deg"] or {},
+            recorded[name]["measured_deg"] or {},
             stored.view,
             stored.residuals_px,
             stored.picture or partial(read_picture, folder / VIEWS, number),  # which says that it has none
@@ -263,6 +264,7 @@ def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
     from bench.plan.job import Job
     from bench.solve.offline import calibrate_paths
     from bench.solve.offline_options import OfflineOptions
+    from bench.solve.results_content import SCHEMA
 
     folder, history = run.folder, run.history
     if run.is_rehearsal:
@@ -271,8 +273,11 @@ def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
         )
     job = Job.from_run_folder(folder)
     result = calibrate_paths([folder], OfflineOptions())
+    seen = {view.name: view for view in result.calibration.views}
     accepted = {attempt.pose_name: attempt for _, attempt in sorted(history.accepted().items())}
-    results = {
+    content = {
+        "schema": SCHEMA,
+        "run": {"id": history.started["id"]},
         "calibration": result.calibration.to_dict(),
         "poses": [
             {
@@ -280,12 +285,14 @@ def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
                 "name": name,
                 "commanded_deg": attempt.stored["commanded_deg"],
                 "measured_deg": attempt.stored["measured_deg"],
-                "stars": next((len(view) for view in result.views if view.name == name), 0),
+                "stars": seen[name].n if name in seen else 0,
+                "rms_px": seen[name].rms_px if name in seen else None,
+                "mean_px": seen[name].mean_px if name in seen else None,
             }
             for name, attempt in accepted.items()
         ],
     }
-    return cast("Results", results), [
+    return results_of(canonical_json(content), folder / RESULTS), [
         replace(stored_view, picture=partial(_picture_again, job, folder, accepted[stored_view.view.name]))
         for stored_view in result.stored_views
     ]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequenc
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -26,19 +26,20 @@ from bench.record.events import Solved
 from bench.record.history import Attempt, History
 from bench.record.measured_facts import MeasuredFacts
 from bench.record.results import (
-    CheckData,
     ComparisonRow,
-    GimbalCheckData,
-    GimbalReadingsData,
-    HalvesData,
-    MountFaceData,
+    GimbalComparison,
+    Halves,
+    MountFace,
     ParallaxData,
+    ReadingsUse,
+    StatedCheck,
 )
 from bench.solve.checks import gimbal_check, mount_faces, parallax_check, split_half_check
 from bench.solve.measured_again import measure_again
 from bench.solve.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
 from calib.engine import Calibration, CalibrationOptions, calibrate
-from calib.studies.camera_check import CameraCheck, check_camera
+from calib.model.result_parts import CameraCheck
+from calib.studies.camera_check import check_camera
 from calib.view import View
 from sequences.script import SolveStep
 
@@ -75,14 +76,14 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
         true = {name: value for name, value in true.items() if name not in ("x", "y")}
     values, sigmas = calibration.values, calibration.sigma
     return [
-        {
-            "name": name,
-            "value": values[name],
-            "sigma": sigmas[name],
-            "truth": true[name],
-            "error": values[name] - true[name],
-            "error_sigmas": (values[name] - true[name]) / sigmas[name],
-        }
+        ComparisonRow(
+            name,
+            values[name],
+            sigmas[name],
+            true[name],
+            values[name] - true[name],
+            (values[name] - true[name]) / sigmas[name],
+        )
         for name in _COMPARED
         if name in values and name in true
     ]
@@ -128,11 +129,11 @@ def views_in(measurements: Iterable[Measurement]) -> list[View]:
 class Checks:
     """What results.json states of a calibration besides its values; None for what cannot be calculated."""
 
-    halves: HalvesData | None
-    gimbal: GimbalCheckData | None
+    halves: Halves | None
+    gimbal: GimbalComparison | None
     parallax: ParallaxData | None
-    mount_faces: Sequence[MountFaceData] | None
-    check: CheckData | None
+    mount_faces: Sequence[MountFace] | None
+    check: StatedCheck | None
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ class Solution:
     judged: Sequence[Gate]
     checks: Checks
     # Whether the readings of the gimbal entered, with what statement, or why not.
-    readings: GimbalReadingsData
+    readings: ReadingsUse
     passport: PassportInUse | None = None  # The collimator's passport that the calibration used, if any
 
 
@@ -185,17 +186,12 @@ def solve_run(
     )
 
 
-def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> CheckData | None:
+def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> StatedCheck | None:
     """Compare the calibration with the stated one of a step ``check``: ``check`` of results.json."""
     stated = job.plan.checked.in_use
     if stated is None or step.checked is None:
         return None
-    return {**check_data(compared_with(stated.file, calibration)), "stated": stated.to_dict()}
-
-
-def check_data(check: CameraCheck) -> CheckData:
-    """Return ``check`` of results.json, without what it says of the stated file."""
-    return cast("CheckData", check.to_dict())
+    return StatedCheck(**vars(compared_with(stated.file, calibration)), stated=stated.to_dict())
 
 
 def compared_with(stated: CameraFile, calibration: Calibration) -> CameraCheck:
@@ -206,12 +202,11 @@ def compared_with(stated: CameraFile, calibration: Calibration) -> CameraCheck:
     )
 
 
-def check_gates(check: CheckData | None) -> list[Gate]:
+def check_gates(check: CameraCheck | None) -> list[Gate]:
     """Return the gate of a check: its largest E_n is at most 1."""
     if check is None:
         return []
-    largest = max(region["normalised"] for region in check["regions"])
-    return [at_most("largest E_n of the check", largest, 1.0, "")]
+    return [at_most("largest E_n of the check", check.worst.normalised, 1.0, "")]
 
 
 def main_numbers(calibration: Calibration) -> Solved:

@@ -10,6 +10,7 @@ import numpy as np
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.plan.passports import determines_one_view
+from bench.record import results
 from bench.stations.station import OfflineStation, Station
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews
@@ -22,7 +23,6 @@ from sequences.script import SolveStep
 
 if TYPE_CHECKING:
     from bench.plan.job import Job
-    from bench.record import results
 
 NO_SECTION = (
     "The station file has no gimbal section, so the uncertainty of the gimbal's readings is not known."
@@ -121,23 +121,21 @@ def limited_numbers(calibration: Calibration) -> dict[str, float]:
 
 def readings_result(
     calibration: Calibration, options: CalibrationOptions, *, witness: bool = False, stated: bool = True
-) -> results.GimbalReadingsData:
+) -> results.ReadingsUse:
     """Return what results.json states about the gimbal's readings: whether they entered, and what bounds them."""
     readings = options.gimbal
     entered = calibration.gimbal is not None and calibration.gimbal.entered
-    return {
-        "entered": entered,
-        "statement": None
-        if readings is None
-        else {
-            "source": readings.source,
-            "reading_sigma_deg": readings.reading_sigma_deg,
-            "scale_sigma": readings.scale_sigma,
-            "eccentricity_deg": readings.eccentricity_deg,
-        },
-        "bound": _bound(calibration, readings),
-        "why_not": None if entered else _why_not(calibration, readings, witness=witness, stated=stated),
-    }
+    statement = None
+    if readings is not None:
+        statement = results.ReadingsStatement(
+            readings.source, readings.reading_sigma_deg, readings.scale_sigma, readings.eccentricity_deg
+        )
+    return results.ReadingsUse(
+        entered,
+        statement,
+        _bound(calibration, readings),
+        None if entered else _why_not(calibration, readings, witness=witness, stated=stated),
+    )
 
 
 def _bound(calibration: Calibration, readings: GimbalReadings | None) -> results.Numbers | None:

@@ -1,9 +1,9 @@
-"""Parts of a result as data: budget rows, statements and their witnesses, amplitudes, the gimbal, the boresight."""
+"""Parts of a result as data: budget rows, statements, their witnesses, amplitudes, gimbal, boresight, a check."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -25,6 +25,8 @@ PUPILS = "places of the pupil"
 PASSPORT, PRIORS, LENS = "passport of the collimator", "known beforehand", "expected lens"
 PARALLAX, UNBOUNDED_PARALLAX = "parallax", "parallax, not bounded"
 GIMBAL_SCALE, GIMBAL_AXES = "scale and eccentricity of the gimbal", "mounting and axes of the gimbal"
+#: A single kind of change is named if it explains this share of the squared difference.
+_EXPLAINS = 0.8
 
 
 @dataclass(frozen=True)
@@ -193,3 +195,52 @@ class RotationErrors:
         """(3 m, 3 m) covariance of all rotation vectors, rad^2."""
         whole = self.by_shared @ self.covariance @ self.by_shared.T + self.own
         return np.asarray(0.5 * (whole + whole.T))
+
+
+@dataclass(frozen=True)
+class RegionCheck:
+    """The worst place of one part of the sensor."""
+
+    name: str
+    at_px: tuple[float, float]
+    offset_px: float  # Length of the change of the projection
+    expanded_px: float  # Its expanded uncertainty, for the whole sensor at once
+
+    @property
+    def normalised(self) -> float:
+        """The E_n number: above 1, the change is larger than its expanded uncertainty."""
+        return self.offset_px / self.expanded_px
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """What a check of a camera found."""
+
+    regions: tuple[RegionCheck, ...]  # Three rows of three
+    rms_px: float  # Root mean square of the change over the sensor
+    coverage_factor: float  # k of the expanded uncertainties, for the whole sensor at once
+    # Share of the squared change that each kind explains alone: ``scale``, ``principal point``, ``lens``.
+    shares: Mapping[str, float]
+
+    @property
+    def worst(self) -> RegionCheck:
+        """The region with the largest E_n."""
+        return max(self.regions, key=lambda region: region.normalised)
+
+    @property
+    def right(self) -> bool:
+        """Whether the stated camera is right within its expanded uncertainty everywhere on the sensor."""
+        return self.worst.normalised <= 1.0
+
+    @property
+    def cause(self) -> str:
+        """The one kind of change that explains the difference; empty if it is right, or if no kind does alone."""
+        if self.right:
+            return ""
+        name, share = max(self.shares.items(), key=lambda item: item[1])
+        return name if share >= _EXPLAINS else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content as JSON holds it."""
+        regions = [{**asdict(region), "normalised": region.normalised} for region in self.regions]
+        return {"right": self.right, "cause": self.cause or None, **asdict(self), "regions": regions}

@@ -29,6 +29,7 @@ from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import DegenerateViews
 from calib.model.camera import PINHOLE, CameraModel, require_image_size
+from calib.model.result_parts import CameraCheck, RegionCheck
 from calib.one_thread import on_one_thread
 from calib.uncertainty.projection_uncertainty import (
     CameraDifference,
@@ -44,8 +45,6 @@ _COVERAGE = 0.95
 _DRAWS = 1000  # By chance, their quantile of 95 % is one of 93.6 % to 96.4 % (two sigma)
 _POINTS_ACROSS = 17  # Of the grid of image points in which two cameras are compared
 _REGIONS = 3  # Along each side: nine, as a photographer names them
-#: A single kind of change is named if it explains this share of the squared difference.
-_EXPLAINS = 0.8
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
 #: Changes of the camera that a pose imitates to this share of their effect are not judged.
 _UNSEEN = 1e-3
@@ -56,55 +55,6 @@ _LEAST_POINTS = 20
 
 #: Each half must determine a camera.
 _MIN_VIEWS = 4
-
-
-@dataclass(frozen=True)
-class RegionCheck:
-    """The worst place of one part of the sensor."""
-
-    name: str
-    at_px: tuple[float, float]
-    offset_px: float  # Length of the change of the projection
-    expanded_px: float  # Its expanded uncertainty, for the whole sensor at once
-
-    @property
-    def normalised(self) -> float:
-        """The E_n number: above 1, the change is larger than its expanded uncertainty."""
-        return self.offset_px / self.expanded_px
-
-
-@dataclass(frozen=True)
-class CameraCheck:
-    """What a check of a camera found."""
-
-    regions: tuple[RegionCheck, ...]  # Three rows of three
-    rms_px: float  # Root mean square of the change over the sensor
-    coverage_factor: float  # k of the expanded uncertainties, for the whole sensor at once
-    # Share of the squared change that each kind explains alone: ``scale``, ``principal point``, ``lens``.
-    shares: Mapping[str, float]
-
-    @property
-    def worst(self) -> RegionCheck:
-        """The region with the largest E_n."""
-        return max(self.regions, key=lambda region: region.normalised)
-
-    @property
-    def right(self) -> bool:
-        """Whether the stated camera is right within its expanded uncertainty everywhere on the sensor."""
-        return self.worst.normalised <= 1.0
-
-    @property
-    def cause(self) -> str:
-        """The one kind of change that explains the difference; empty if it is right, or if no kind does alone."""
-        if self.right:
-            return ""
-        name, share = max(self.shares.items(), key=lambda item: item[1])
-        return name if share >= _EXPLAINS else ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content as JSON holds it."""
-        regions = [{**asdict(region), "normalised": region.normalised} for region in self.regions]
-        return {"right": self.right, "cause": self.cause or None, **asdict(self), "regions": regions}
 
 
 @on_one_thread

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from bench.measure.view_picture import ViewPicture
+from bench.record.stored_run import results_of
 from bench.report.html import ReportData
 from calib.model.camera import CameraModel
 from calib.model.result_parts import Boresight
@@ -19,6 +20,7 @@ STORED = json.loads(RESULTS.read_bytes())
 TRUE, COLLIMATOR = STORED["truth"]["camera"], STORED["truth"]["collimator"]
 SIGMA = STORED["calibration"]["sigma"]
 SMALL = (320, 180)
+CENTRE_MM = [96.0, 142.0, -255.0]
 TURNS = {
     "first": (0.0, 0.0, 0.0),
     "second & third": (0.03, -0.07, 0.02),
@@ -58,13 +60,15 @@ def _results(views, *, simulated):
     results = json.loads(RESULTS.read_bytes())
     for part in (results["calibration"], results["previous"]["calibration"]):
         part["image_size"] = list(views[0].image.shape[::-1])
-    for row, pose, view in zip(results["calibration"]["views"], results["poses"], views, strict=True):
-        row |= {"name": view.name, "n": len(view.ids)}
+    turned = zip(results["calibration"]["views"], results["poses"], views, TURNS.values(), strict=True)
+    for row, pose, view, turn in turned:
+        rotation = cv2.Rodrigues(np.array(turn))[0].tolist()
+        row |= {"name": view.name, "n": len(view.ids), "rotation": rotation, "centre_mm": CENTRE_MM}
         pose |= {"name": view.name, "stars": len(view.ids)}
     if not simulated:
         results["run"] |= {"simulated": False, "seed": None}
         results |= {"truth": None, "comparison": []}
-    return results
+    return results_of(json.dumps(results).encode(), RESULTS)
 
 
 def _pose(number, view):
@@ -78,7 +82,7 @@ def _pose(number, view):
 def _view(name, camera, rotation, rng):
     target = StarTarget()
     ids = np.asarray(target.ids)
-    centre = np.array([96.0, 142.0, -255.0])
+    centre = np.array(CENTRE_MM)
     points = np.column_stack([target.positions_mm(ids), np.zeros(len(ids))]) - centre
     reprojected = camera.project(points @ rotation.T)
     width, height = camera.image_size

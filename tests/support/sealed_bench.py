@@ -1,14 +1,15 @@
 """A bench with a key, a ledger and one sealed run, whose numbers are those of a real simulated run."""
 
 import functools
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 
+from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import ensure_key
 from bench.evidence.seal import seal_folder
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
+from bench.record.stored_run import results_of
 
 RESULTS = Path(__file__).with_name("certificate_results.json")
 """results.json of `make demo`, without the truth and the planar model, as of the day of the sample."""
@@ -18,7 +19,7 @@ NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 @functools.cache
 def sample_results():
     """The results that the full sample is made of."""
-    return json.loads(RESULTS.read_bytes())
+    return results_of(RESULTS.read_bytes(), RESULTS)
 
 
 def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=None):
@@ -28,7 +29,7 @@ def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=N
         journal.append("run_started", id="run", simulated=True, **({"rehearsal": True} if rehearsal else {}))
         journal.append("run_ended", how=how, why="")
     (folder / "results.json").write_bytes(
-        RESULTS.read_bytes() if results is None else json.dumps(results).encode()
+        RESULTS.read_bytes() if results is None else canonical_json(results)
     )
     seal_folder(folder, ensure_key(home, principal="bench@lab"))
     return folder

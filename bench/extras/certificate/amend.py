@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from bench.base.bounded_json import leaves, parse_json
+from bench.base.bounded_json import leaves
 from bench.base.errors import EvidenceError
 from bench.base.pasteable import pasteable
 from bench.evidence.findings import Verification
@@ -29,6 +29,7 @@ from bench.record.storage import (
     sha256_of,
     storage_errors,
 )
+from bench.record.stored_run import results_of
 from sequences.tree import path_text
 
 ABSENT = "absent"
@@ -124,7 +125,7 @@ def _read_certificate(folder: Path, verification: Verification) -> tuple[Certifi
         certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE), str(folder / CERTIFICATE))
         results = read_bounded(folder / RESULTS)
         plots = plots_in(folder)
-    content = parse_json(results)
+    content = results_of(results, folder / RESULTS)
     of_the_run = certificate.run.software[: len(content["run"]["software"])]
     run = replace(certificate.run, software=(*of_the_run, *written_with()))
     return certificate, Source(folder, content, results, run, plots, certificate.statement("verification"))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from bench.base.errors import EvidenceError
 from bench.extras.certificate.certificate_data import Budget, BudgetRow
@@ -17,6 +16,7 @@ from bench.record.results import CalibrationData
 from bench.record.run_folder import RESULTS
 from bench.report.calibration_tables import overlap
 from bench.wording.numbers import MINUS, number, with_uncertainty
+from calib.model import result_parts
 from calib.model.result_parts import COVERAGE, PASSPORT
 from calib.uncertainty.covariance import coverage_factor
 
@@ -94,7 +94,7 @@ class Expanded:
 
 def row_names(calibration: CalibrationData) -> list[str]:
     """Return the names of the rows, to which certificates can be assigned."""
-    return [str(row["name"]) for row in calibration["budget_rows"]]
+    return [row.name for row in calibration["budget_rows"]]
 
 
 def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
@@ -114,9 +114,16 @@ def budget_of(
 ) -> Budget:
     """Return the uncertainty budget of a result; `EvidenceError` if it is missing or its rows do not add up."""
     stated = expanded(calibration, symbol)
-    of_engine = {row["name"]: row for row in calibration["budget_rows"]}
+    of_engine = {row.name: row for row in calibration["budget_rows"]}
     rows = [
-        _row(name, of_engine.get(name, {}), symbol, unit, by_symbol.get(symbol, 0.0), stated, sources)
+        _row(
+            of_engine.get(name, result_parts.BudgetRow(name, "B", "")),
+            symbol,
+            unit,
+            by_symbol.get(symbol, 0.0),
+            stated,
+            sources,
+        )
         for name, by_symbol in calibration["budget"].items()
     ]
     combined = math.sqrt(sum(row.u**2 for row in rows))
@@ -145,8 +152,7 @@ def budget_of(
 
 
 def _row(
-    name: str,
-    of_engine: Mapping[str, Any],
+    of_engine: result_parts.BudgetRow,
     symbol: str,
     unit: str,
     u: float,
@@ -154,41 +160,42 @@ def _row(
     sources: Mapping[str, RowSource],
 ) -> BudgetRow:
     """Return the row of a source of the engine's budget; an earlier version's has a variance alone."""
+    name = of_engine.name
     source = sources.get(name, RowSource())
     value, divisor, value_unit = _stated_value(of_engine, source)
     has_value = bool(value) and bool(divisor)
     sensitivity = u * divisor / value if has_value and value and divisor else None
-    if sensitivity is not None and (of_engine.get("sensitivity") or {}).get(symbol, 0.0) < 0:
+    if sensitivity is not None and of_engine.sensitivity.get(symbol, 0.0) < 0:
         sensitivity = -sensitivity
     base = value_unit.partition(" ")[0]
-    is_stated = of_engine.get("divisor") is not None and name != PASSPORT
-    nu = of_engine["degrees_of_freedom"] if is_stated else whole.nu_eff
+    is_stated = of_engine.divisor is not None and name != PASSPORT
+    nu = of_engine.degrees_of_freedom if is_stated else whole.nu_eff
     return BudgetRow(
         name=name,
-        type=of_engine.get("type", "B"),
+        type=of_engine.type,
         value=value if has_value else None,
         unit=value_unit if has_value else "",
-        distribution=str(of_engine.get("distribution") or "normal"),
+        distribution=of_engine.distribution,
         divisor=nine_digits(divisor) if has_value and divisor else None,
         sensitivity=None if sensitivity is None else nine_digits(sensitivity),
         sensitivity_unit=(unit if base == "1" else f"{unit}/{base}") if has_value else "",
         u=nine_digits(u),
         share=nine_digits((u / whole.u) ** 2) if whole.u > 0 else 0.0,
         nu=None if nu is None else nine_digits(float(nu)),
-        source=str(of_engine.get("source") or "joint adjustment"),
+        source=of_engine.source or "joint adjustment",
         number=source.number,
         date=source.date,
         sha256=source.sha256,
     )
 
 
-def _stated_value(row: Mapping[str, Any], source: RowSource) -> tuple[float | None, float | None, str]:
+def _stated_value(row: result_parts.BudgetRow, source: RowSource) -> tuple[float | None, float | None, str]:
     """Return the stated value of a row with divisor and unit. A passport's is not the engine's."""
     if source.value is not None:
         return source.value, source.divisor, source.unit
-    if row.get("name") == PASSPORT or row.get("value") is None or row.get("divisor") is None:
+    if row.name == PASSPORT or row.value is None or row.divisor is None:
         return None, None, ""
-    return float(row["value"]), float(row["divisor"]), str(row.get("unit") or "")
+    return row.value, row.divisor, row.unit
 
 
 def _freedom_of_views(calibration: CalibrationData) -> float | None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
@@ -24,6 +23,7 @@ from bench.extras.certificate.series import SIMULATED, Numbered, is_number_forma
 from bench.record.ledger import LEDGER, Ledger
 from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import read_bounded, sha256_of
+from bench.record.stored_run import results_of
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
 
@@ -78,7 +78,7 @@ def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
     results = read_bounded(folder / RESULTS)
     if sha256(results) != certificate.run.results_sha256:
         findings.fault(_KIND, RESULTS, "these are not the results that the certificate names")
-    content = parse_json(results)
+    content = results_of(results, folder / RESULTS)
     try:
         lab = lab_of(read_bounded(folder / LAB), LAB)
     except DocumentFaults as error:
@@ -174,7 +174,7 @@ def _compare_documents(
         findings.not_compared.append(f"{PDF} and {DCC}: {error.what} {error.remedy}".rstrip("."))
         return
     stored = (folder / DCC).read_bytes()
-    content = parse_json(results)
+    content = results_of(results, folder / RESULTS)
     files = certificate_files(certificate, content, results, lab.text, plots_in(folder), stored_dcc=stored)
     if SIGNATURE.search(stored):
         findings.remarks.append(
@@ -288,7 +288,7 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, finding
             findings.fault(_KIND, CERTIFICATE, f"it names another {name} than that of the run {run}")
     from bench.extras.certificate.pdf import plots_of_run
 
-    if plots_of_run(run, parse_json(results)) != plots_in(folder):
+    if plots_of_run(run, results_of(results, run / RESULTS)) != plots_in(folder):
         findings.not_compared.append(
             "the plots are not drawn alike from the run here: another version of Starbench, or changed plots"
         )

@@ -99,7 +99,7 @@ def _traceability(lab: LabConfig, results: Results) -> Sequence[str]:
         known = any(source.number and source.issuer and source.date for source in lab.sources)
         return missing if known else [*missing, "sources"]
     stated = next((source for source in lab.sources if source.row == PASSPORT), None)
-    needed = [name for name in ("number", "date") if not in_run.get(name)] + ["issuer"]
+    needed = [name for name in ("number", "date") if not getattr(in_run, name)] + ["issuer"]
     return [*missing, *(f"sources.{name}" for name in needed if not getattr(stated, name, None))]
 
 
@@ -221,6 +221,6 @@ def _sources(lab: LabConfig, results: Results) -> Iterator[tuple[DocumentPath, s
         if source.row != PASSPORT:
             continue
         for key, stated in (("number", source.number), ("date", source.date and source.date.isoformat())):
-            used = in_run.get(key) if in_run else None
+            used = getattr(in_run, key) if in_run else None
             if stated and used and used != stated:
                 yield ("sources", at, key), f"the run used {used!r}, not {stated!r}."

@@ -42,7 +42,7 @@ from bench.extras.certificate.lab_config import (
 from bench.extras.certificate.limits import despite_fail, rules_of
 from bench.extras.certificate.series import SIMULATED
 from bench.record.conformity import verdict_of
-from bench.record.results import PassportData, Results
+from bench.record.results import Results, StatedPassport
 from bench.wording.earlier_runs import earlier_runs
 from bench.wording.parameters import unit_of
 from calib.model.lens import is_fisheye
@@ -234,10 +234,10 @@ def row_sources(results: Results, lab: LabConfig) -> dict[str, RowSource]:
     if in_run := results.get("passport"):
         value, divisor = _radius_uncertainty(results, in_run)
         sources[PASSPORT] = RowSource(
-            in_run["number"] or "",
-            in_run["date"] or "",
-            in_run["sha256"],
-            value if set(in_run["values"]) == {"r"} else None,
+            in_run.number or "",
+            in_run.date or "",
+            in_run.sha256,
+            value if set(in_run.values) == {"r"} else None,
             divisor,
             "mm",
         )
@@ -333,9 +333,9 @@ def _reference(source: SourceConfig, what: str) -> Traceability:
     )
 
 
-def _collimator(results: Results, in_run: PassportData, stated: SourceConfig | None) -> Traceability:
+def _collimator(results: Results, in_run: StatedPassport, stated: SourceConfig | None) -> Traceability:
     """Return the certificate or passport of the collimator, of the run before that of lab.yaml."""
-    radius = in_run["values"].get("r")
+    radius = in_run.values.get("r")
     expanded, k = _radius_uncertainty(results, in_run)
     known = _reference(stated or SourceConfig(row=PASSPORT), "focal length of the collimator")
     return replace(
@@ -345,18 +345,18 @@ def _collimator(results: Results, in_run: PassportData, stated: SourceConfig | N
         U=expanded,
         k=k,
         unit="mm",
-        number=in_run["number"] or known.number,
-        date=in_run["date"] or known.date,
-        sha256=known.sha256 or in_run["sha256"],
+        number=in_run.number or known.number,
+        date=in_run.date or known.date,
+        sha256=known.sha256 or in_run.sha256,
     )
 
 
-def _radius_uncertainty(results: Results, in_run: PassportData) -> tuple[float | None, float | None]:
+def _radius_uncertainty(results: Results, in_run: StatedPassport) -> tuple[float | None, float | None]:
     """Return the uncertainty of the collimator's focal length as it is stated, mm, and its coverage factor."""
     certificate = (results["run"].get("collimator") or {}).get("certificate")
-    if isinstance(certificate, Mapping) and in_run["source"] == "station certificate":
+    if isinstance(certificate, Mapping) and in_run.source == "station certificate":
         return float(certificate["uncertainty_mm"]), float(certificate.get("k", 2.0))
-    sigma = in_run["sigma"].get("r")
+    sigma = in_run.sigma.get("r")
     return (None, None) if sigma is None else (float(sigma), 1.0)
 
 
@@ -391,8 +391,8 @@ def _before(results: Results, lab: LabConfig) -> BeforeAdjustment | None:
         date,
         digest,
         values,
-        change["rms_px"] if change else None,
-        change["largest_px"] if change else None,
+        change.rms_px if change else None,
+        change.largest_px if change else None,
     )
 
 

@@ -24,7 +24,14 @@ from bench.extras.certificate.lab_config import ItemConfig
 from bench.extras.certificate.limits import limits_of_others
 from bench.record.events import LightSettingsData
 from bench.record.measured_facts import GateData
-from bench.record.results import BoresightData, CalibrationData, CameraConditions, Direction, Results
+from bench.record.results import (
+    BoresightData,
+    CalibrationData,
+    CameraConditions,
+    Direction,
+    Results,
+    WorstCorner,
+)
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.wording.parameters import unit_of
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
@@ -99,9 +106,9 @@ def further_of(results: Results) -> tuple[FurtherResult, ...]:
     calibration = results["calibration"]
     projection, rows = results.get("projection"), _at_centre(calibration)
     if projection is not None:
-        worst, name = projection["worst_corner"], "expanded uncertainty of the projection"
-        rows += _projection("projection_median", f"{name}, median over the image", projection["median"])
-        in_corner = f"{name} in the worst corner ({worst['corner']})"
+        worst, name = projection.worst_corner, "expanded uncertainty of the projection"
+        rows += _projection("projection_median", f"{name}, median over the image", projection.median)
+        in_corner = f"{name} in the worst corner ({worst.corner})"
         rows += _projection("projection_worst_corner", in_corner, worst)
     rows += _boresight(calibration.get("boresight"))
     rows.append(_further("rms", "RMS of the residuals (no accuracy)", float(calibration["rms_px"]), "px"))
@@ -124,10 +131,10 @@ def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     )
     row, column = (size // 2 for size in projection_map.sigma_px.shape)
     k = float(calibration["coverage_factor"])
-    centre: Direction = {
-        "expanded_px": k * float(projection_map.sigma_px[row, column]),
-        "expanded_urad": k * float(projection_map.sigma_arcsec[row, column]) * URAD_PER_ARCSEC,
-    }
+    centre = Direction(
+        k * float(projection_map.sigma_px[row, column]),
+        k * float(projection_map.sigma_arcsec[row, column]) * URAD_PER_ARCSEC,
+    )
     return _projection(
         "projection_centre", "expanded uncertainty of the projection in the centre of the image", centre
     )
@@ -159,10 +166,10 @@ def _boresight(boresight: BoresightData | None) -> Iterator[FurtherResult]:
         )
 
 
-def _projection(id_: str, name: str, direction: Direction) -> list[FurtherResult]:
+def _projection(id_: str, name: str, direction: Direction | WorstCorner) -> list[FurtherResult]:
     return [
-        _further(id_, name, float(direction["expanded_px"]), "px"),
-        _further(id_, name, float(direction["expanded_urad"]) / URAD_PER_ARCSEC, "arcsec"),
+        _further(id_, name, direction.expanded_px, "px"),
+        _further(id_, name, direction.expanded_urad / URAD_PER_ARCSEC, "arcsec"),
     ]
 
 

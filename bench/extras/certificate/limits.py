@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from bench.base.errors import EvidenceError
 from bench.extras.certificate.certificate_data import Conformity
 from bench.extras.certificate.lab_config import LabConfig, LabRuleConfig
-from bench.record.results import Results, StatementData
+from bench.record.results import LimitStatement, Results
 from bench.wording.conformity import conformity_headline, conformity_sentences
 
 _PASSES = frozenset({"pass", "conditionalPass"})
@@ -24,21 +25,21 @@ def rules_of(results: Results, lab: LabConfig) -> list[LabRuleConfig]:
 
 def _rules_of_run(results: Results) -> Iterator[LabRuleConfig]:
     for statement in _statements(results):
-        if statement["result"] in results["calibration"]["camera"]:
-            by = f"limits of the run's {statement['stated_by']}"
-            text = f"{statement['specification']} ({by})" if statement["specification"] else by
+        if statement.result in results["calibration"]["camera"]:
+            by = f"limits of the run's {statement.stated_by}"
+            text = f"{statement.specification} ({by})" if statement.specification else by
             # The run's own check of its text holds.
             yield LabRuleConfig.model_construct(
-                result=statement["result"],
+                result=statement.result,
                 specification=text,
-                lower=statement["lower"],
-                upper=statement["upper"],
+                lower=statement.lower,
+                upper=statement.upper,
             )
 
 
-def _statements(results: Results) -> list[StatementData]:
+def _statements(results: Results) -> list[LimitStatement]:
     judged = results.get("conformity")
-    return list(judged["statements"]) if judged else []
+    return list(judged.statements) if judged else []
 
 
 def _limits_of(rule: LabRuleConfig) -> Limits:
@@ -54,9 +55,9 @@ def limits_of_others(results: Results) -> list[str]:
     others = [
         statement
         for statement in _statements(results)
-        if statement["result"] not in camera and statement["verdict"] != "pass"
+        if statement.result not in camera and statement.verdict != "pass"
     ]
-    return conformity_sentences({**judged, "statements": others, "reasons": [], "rule": ""})[: len(others)]
+    return conformity_sentences(replace(judged, statements=others, reasons=[], rule=""))[: len(others)]
 
 
 def despite_fail(results: Results) -> str:
@@ -69,7 +70,7 @@ def despite_fail(results: Results) -> str:
 def passes_over_fail(results: Results, lab: LabConfig, conformity: tuple[Conformity, ...]) -> list[str]:
     """Return the results that pass by other limits than the run's although the run says FAIL; usually none."""
     judged = results.get("conformity")
-    if judged is None or judged["passed"]:
+    if judged is None or judged.passed:
         return []
     of_run = {_limits_of(rule) for rule in _rules_of_run(results)}
     own = zip(lab.decision_rules or (), conformity, strict=False)  # those of the run follow
@@ -86,9 +87,9 @@ def needed_reason(results: Results, lab: LabConfig, conformity: tuple[Conformity
     if not passes:
         return ""
     if not reason:
-        failed = [statement for statement in _statements(results) if statement["verdict"] != "pass"]
+        failed = [statement for statement in _statements(results) if statement.verdict != "pass"]
         judged = results["conformity"]
-        what = conformity_sentences({**judged, "statements": failed})[: len(failed) + len(judged["reasons"])]
+        what = conformity_sentences(replace(judged, statements=failed))[: len(failed) + len(judged.reasons)]
         raise EvidenceError(
             f"The sealed run says FAIL: {' '.join(what)} By the limits of lab.yaml {', '.join(passes)} would pass.",
             where="decision_rules of lab.yaml",

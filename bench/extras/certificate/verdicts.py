@@ -60,8 +60,8 @@ def _when(of_lab: Mapping[str, Sequence[Limits]], results: Results) -> str:
     """Return when the limits of the certificate were stated; empty if it has none."""
     judged = results.get("conformity")
     before = {
-        (statement["result"], statement["lower"], statement["upper"])
-        for statement in (judged["statements"] if judged else ())
+        (statement.result, statement.lower, statement.upper)
+        for statement in (judged.statements if judged else ())
     }
     after = {limits for of in of_lab.values() for limits in of} - before
     if after:

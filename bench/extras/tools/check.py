@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bench.camera_files.reader import CameraFile
     from calib.calibration import Calibration
     from calib.model.camera import CameraModel
-    from calib.studies.camera_check import CameraCheck
+    from calib.model.result_parts import CameraCheck
     from calib.view import View
 
 
@@ -112,10 +112,9 @@ def _lines(
     checked: CameraCheck, stated: CameraFile, calibration: Calibration, skipped: list[str]
 ) -> Iterator[str]:
     yield from left_out_lines(skipped)
-    from bench.solve.solution import check_data
     from bench.wording.camera_check import check_sentences
 
-    yield from check_sentences(check_data(checked))
+    yield from check_sentences(checked)
     yield f"Change of the image and its U, px (k = {checked.coverage_factor:.2f}, for all places at once):"
     for start in range(0, len(checked.regions), 3):
         row = checked.regions[start : start + 3]

@@ -1,7 +1,7 @@
 """What a certificate says is what the sealed run says: limits, settings, hashes, dates, and numbers after a restore."""
 
+import copy
 import dataclasses
-import json
 import re
 import shutil
 from datetime import datetime, timedelta
@@ -18,11 +18,12 @@ from bench.extras.certificate.facts_of_run import utc_seconds
 from bench.extras.certificate.series import Wanted, reserve
 from bench.record.conformity import conformity
 from bench.record.ledger import Ledger
+from bench.record.stored_calibration import stored_calibration
 from sequences.schema import ResultLimitConfig
 
 
 def test_deviations_of_the_run_enter_by_themselves(lab):
-    results = json.loads(json.dumps(sample_results()))
+    results = copy.deepcopy(sample_results())
     results["deviations"] = ["Pose 2 (right) was skipped by ada."]
     results["run"]["resumed"] = 2
     results["gates"][0] |= {"verdict": "fail"}
@@ -45,10 +46,10 @@ OWN = '  - {result: fx, specification: "Customer drawing 4711, focal length", lo
 @pytest.fixture
 def failed(lab):
     """A laboratory whose limits pass, and whose run says FAIL by the narrower ones of its sequence."""
-    results = json.loads(json.dumps(sample_results()))
+    results = copy.deepcopy(sample_results())
     rules = [ResultLimitConfig(result="fx", specification="drawing 4711", upper=3300.0)]
-    results["conformity"] = conformity(results["calibration"], {"sequence": rules}, [])
-    assert not results["conformity"]["passed"]
+    results["conformity"] = conformity(stored_calibration(results["calibration"]), {"sequence": rules}, [])
+    assert not results["conformity"].passed
     lab.run = write_sealed_run(lab.path / "failed", lab.home, results=results)
     text = LAB.replace(OWN, WIDE)
     assert WIDE in text

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -42,7 +43,7 @@ def test_every_key_of_a_clause_can_be_missing_and_is_then_named():
 
 
 def test_a_reference_without_number_date_or_issuer_is_named():
-    without = {**sample_results(), "passport": {**sample_results()["passport"], "number": None, "date": None}}
+    without = {**sample_results(), "passport": replace(sample_results()["passport"], number=None, date=None)}
     keys = [key for _, key in unanswered(sample_lab().value, without)]
     assert keys == ["sources.number", "sources.date"]
     none = {**sample_results(), "passport": None}

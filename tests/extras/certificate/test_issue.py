@@ -12,6 +12,7 @@ from certificate_lab import FIRST, Lab
 from certificate_sample import LAB
 from sealed_bench import NOW, sample_results, write_sealed_run
 
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import EvidenceError, RunFolderError, UsageError
 from bench.evidence.findings import SealFault
 from bench.extras.certificate import certificate_folder, sealed_run
@@ -148,8 +149,8 @@ def test_an_earlier_version_may_have_divided_u_of_a_method_of_reference_otherwis
     results = sample_results()
     calibration = {**results["calibration"], "coverage_factors": {}, "coverage_factor": 2.2215}
     path = tmp_path / "reference.json"
-    path.write_text(json.dumps({**results, "calibration": calibration}))
-    monkeypatch.setattr("certificate_sample.RESULTS", path)
+    path.write_bytes(canonical_json({**results, "calibration": calibration}))
+    monkeypatch.setattr("sealed_bench.RESULTS", path)
     issued = Lab(tmp_path).issue()
     first, *others = issued.certificate.results
     for changed, passes in (

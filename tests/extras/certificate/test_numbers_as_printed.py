@@ -22,6 +22,7 @@ from bench.extras.certificate.facts_of_run import further_of, results_of
 from bench.extras.certificate.lab_config import LabRuleConfig
 from bench.extras.certificate.limits import passes_over_fail
 from bench.record.conformity import conformity, verdict_of
+from bench.record.stored_calibration import stored_calibration
 from bench.wording.numbers import round_expanded, with_uncertainty
 from sequences.schema import ResultLimitConfig
 
@@ -99,7 +100,7 @@ def test_a_method_of_reference_has_one_k_of_students_distribution_for_all_values
         variances = {symbol: sigma**2 for symbol, sigma in calibration["sigma"].items()}
         parts = {"stars": 0.2, "disagreement of the views": 0.8}
         budget = {name: {s: (part * v) ** 0.5 for s, v in variances.items()} for name, part in parts.items()}
-        rows = [row for row in calibration["budget_rows"] if row["name"] in parts]
+        rows = [row for row in calibration["budget_rows"] if row.name in parts]
         calibration.update(coverage_factors={}, coverage_factor=k, budget=budget, budget_rows=rows)
 
     calibration = changed(of_reference)
@@ -115,8 +116,10 @@ def test_a_method_of_reference_has_one_k_of_students_distribution_for_all_values
 
 def test_a_stated_value_has_the_degrees_of_freedom_that_are_stated_with_it():
     def stated(calibration):
-        row = next(row for row in calibration["budget_rows"] if row["name"] == "scale of the print")
-        row["degrees_of_freedom"] = 8
+        calibration["budget_rows"] = [
+            dataclasses.replace(row, degrees_of_freedom=8) if row.name == "scale of the print" else row
+            for row in calibration["budget_rows"]
+        ]
 
     budget = budget_of(changed(stated), "fx", "px", {}, 2.0)
     assert {row.name: row.nu for row in budget.rows if row.nu is not None} == {"scale of the print": 8.0}
@@ -146,7 +149,7 @@ def test_of_a_coefficient_a_row_of_a_single_source_states_its_value_with_its_cer
 
 
 def changed(change):
-    calibration = json.loads(json.dumps(sample_results()["calibration"]))
+    calibration = copy.deepcopy(sample_results()["calibration"])
     change(calibration)
     return calibration
 
@@ -175,9 +178,9 @@ def test_data_of_the_customer_mark_the_results_that_depend_on_them():
 
 def run_with_limits(*limits):
     """The results of the sample, whose run states these limits, and a laboratory that states none."""
-    results = json.loads(json.dumps(sample_results()))
+    results = copy.deepcopy(sample_results())
     rules = [ResultLimitConfig(**limit) for limit in limits]
-    results["conformity"] = conformity(results["calibration"], {"sequence": rules}, [])
+    results["conformity"] = conformity(stored_calibration(results["calibration"]), {"sequence": rules}, [])
     head, _, rest = LAB.partition("decision_rules:\n")
     return results, sample_lab(
         f"{head}decision_rules: none\n{rest[rest.index('previous_certificate') :]}"
@@ -189,7 +192,7 @@ def test_the_limits_of_the_run_are_stated_where_the_laboratory_states_no_others(
         {"result": "fx", "upper": 3350.0}, {"result": "r", "lower": 9999.0}, {"result": "cx", "lower": 9999.0}
     )
     certificate = compose(results, lab, identity())
-    stated = {statement["result"]: statement["verdict"] for statement in results["conformity"]["statements"]}
+    stated = {statement.result: statement.verdict for statement in results["conformity"].statements}
     assert [(statement.symbol, statement.verdict) for statement in certificate.conformity] == [
         ("fx", stated["fx"]), ("cx", "fail"),
     ]  # fmt: skip
@@ -243,7 +246,7 @@ def test_limits_that_the_laboratory_states_as_the_run_does_stand_there_once():
 
 
 def test_the_runs_of_the_camera_before_this_one_are_counted_as_in_the_report():
-    results = json.loads(json.dumps(sample_results()))
+    results = copy.deepcopy(sample_results())
     results["run"]["ledger"] = {
         "number": 9, "head": "ab" * 32, "of_camera": {"failed": 2, "finished": 1, "open": 2}, "faults": ["x"],
     }  # fmt: skip

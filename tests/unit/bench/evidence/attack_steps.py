@@ -262,11 +262,13 @@ def forged_focal_length(f):
 
 def rederive(f, job):
     """Put right what follows from the calibration, as the program does."""
+    from bench.base.bounded_json import canonical_json
     from bench.record.stored_calibration import stored_calibration
+    from bench.record.stored_run import results_of
     from bench.solve.results_content import projection
     from bench.solve.solution import compare_with_truth
 
-    results = f.results
+    results = results_of(canonical_json(f.results), f / "results.json")
     calibration = stored_calibration(results["calibration"])
     views = [stored.view for stored in read_views(f / "views.h5")]
     f.edit_results(lambda r: r.update(projection=projection(calibration, views)))

@@ -1,7 +1,6 @@
 """A sealed run of the simulated bench to be attacked; and what is made again is made once for the same input."""
 
 import io
-import json
 import os
 from contextlib import contextmanager
 from dataclasses import replace
@@ -9,6 +8,7 @@ from unittest import mock
 
 from quick_runs import write_sequence, write_station
 
+from bench.base.bounded_json import canonical_json
 from bench.base.clock import BenchClock
 from bench.base.home import HOME_VARIABLE
 from bench.measure.camera_kinds import EventKind
@@ -42,7 +42,7 @@ def kept_in_memory():
 
     def report_plots(results, views):
         stars = b"".join(view.detected.tobytes() + view.residuals.tobytes() for view in views)
-        return once("drawn", (json.dumps(results), stars), lambda: draw(results, views))
+        return once("drawn", (canonical_json(results), stars), lambda: draw(results, views))
 
     def measure_one(kind, path, step, frequency_hz, target, expected_grid, **more):
         def make():

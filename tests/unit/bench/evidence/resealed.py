@@ -13,6 +13,7 @@ from bench.record.journal import read_journal
 from bench.record.journal_line import FIRST_PREV, encode_line
 from bench.record.recovery import written_files
 from bench.record.stored_calibration import stored_calibration
+from bench.record.stored_run import results_of
 from bench.report.html import ReportData, render_report
 from bench.report.pictured_poses import pictured_poses
 from bench.solve.exports import exports
@@ -129,7 +130,7 @@ class Forger:
 
     def render(self, job):
         """Make exports and report again of the results, as the program does."""
-        results = self.results
+        results = results_of(canonical_json(self.results), self.folder / "results.json")
         self.chain(self.lines)
         calibration = stored_calibration(results["calibration"])
         for name, data in exports(calibration, camera_name=job.camera_name, target=job.target).items():

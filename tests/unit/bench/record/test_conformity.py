@@ -1,5 +1,7 @@
 """PASS or FAIL of a run: guarded acceptance by the expanded uncertainty, and what fails whatever the limits say."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from bench.record.conformity import conformity
@@ -8,10 +10,9 @@ from sequences.schema import ResultLimitConfig
 
 
 def calibration(**changes):
-    values = {"camera": {"fx": 1600.0, "k1": -0.1}, "collimator": {"r": 255.0}}
-    sigma = {"fx": 1.0, "k1": 0.001, "r": 0.1}
-    factors = {"coverage_factor": 2.0, "coverage_factors": {"k1": 3.0}}
-    return {"converged": True, **values, "sigma": sigma, **factors, **changes}
+    values = {"fx": 1600.0, "k1": -0.1, "r": 255.0}
+    expanded = {"fx": 2.0 * 1.0, "k1": 3.0 * 0.001, "r": 2.0 * 0.1}
+    return SimpleNamespace(**{"converged": True, "values": values, "U": expanded} | changes)
 
 
 def judged(*limits, failed=(), **changes):
@@ -25,29 +26,29 @@ def judged(*limits, failed=(), **changes):
 )
 def test_a_value_passes_only_if_it_is_inside_by_its_expanded_uncertainty(upper, verdict):
     judgement = judged({"result": "fx", "upper": upper})
-    assert judgement["statements"][0]["verdict"] == verdict
-    assert judgement["passed"] is (verdict == "pass")
+    assert judgement.statements[0].verdict == verdict
+    assert judgement.passed is (verdict == "pass")
 
 
 def test_each_value_has_the_guard_band_of_its_own_coverage_factor():
-    assert judged({"result": "k1", "upper": -0.097})["passed"]
-    assert not judged({"result": "k1", "upper": -0.0971})["passed"]
+    assert judged({"result": "k1", "upper": -0.097}).passed
+    assert not judged({"result": "k1", "upper": -0.0971}).passed
     assert judged() is None
 
 
 def test_limits_of_the_station_count_as_those_of_the_sequence():
     loose, tight = (ResultLimitConfig(result="r", lower=low) for low in (200.0, 254.9))
     judgement = conformity(calibration(), {"station": (tight,), "sequence": (loose,)}, ())
-    assert [(statement["stated_by"], statement["verdict"]) for statement in judgement["statements"]] == [
+    assert [(statement.stated_by, statement.verdict) for statement in judgement.statements] == [
         ("station", "conditionalPass"),
         ("sequence", "pass"),
     ]
-    assert not judgement["passed"]
+    assert not judgement.passed
 
 
 def test_a_value_that_was_not_estimated_does_not_pass():
     judgement = judged({"result": "k2", "upper": 1.0})
-    assert not judgement["passed"]
+    assert not judgement.passed
     assert "k2: this calibration did not estimate it" in conformity_sentences(judgement)[0]
 
 
@@ -60,8 +61,8 @@ def test_a_value_that_was_not_estimated_does_not_pass():
 )
 def test_values_that_must_not_be_used_do_not_pass(changes, reason):
     judgement = judged({"result": "fx", "lower": 1500.0}, **changes)
-    assert judgement["statements"][0]["verdict"] == "pass"
-    assert not judgement["passed"]
+    assert judgement.statements[0].verdict == "pass"
+    assert not judgement.passed
     assert reason in conformity_sentences(judgement)
 
 

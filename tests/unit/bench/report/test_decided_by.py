@@ -61,8 +61,6 @@ def test_residuals_of_one_direction_are_told_with_their_part_of_the_image():
 
 def test_the_scene_shows_each_pose_from_the_camera_to_the_target():
     calibration = dict(sample(size=SMALL).results["calibration"])
-    flat = {"rotation": np.eye(3).tolist(), "centre_mm": [96.0, 142.0, -255.0]}
-    calibration["views"] = [{**view, **flat} for view in calibration["views"]]
     svg = pose_scene(calibration)
     assert "Poses: 3 of 3" in svg
     assert svg.count("<circle") == 3

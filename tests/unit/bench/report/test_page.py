@@ -32,7 +32,7 @@ def test_every_picture_has_a_name_for_those_who_do_not_see_it(html):
     pictures = re.findall(r'<svg [^>]*role="img"[^>]*>', html)
     labels = [re.search(r'aria-label="([^"]+)"', picture) for picture in pictures]
     assert all(labels)
-    assert len({label[1] for label in labels}) == len(pictures) == 12
+    assert len({label[1] for label in labels}) == len(pictures) == 13
 
 
 def test_it_needs_no_network_and_runs_no_script(html):

@@ -2,11 +2,13 @@
 
 import copy
 import re
+from dataclasses import replace
 from typing import get_args
 
 import pytest
 from report_sample import BORESIGHT, SMALL, sample
 
+from bench.record.results import MountFace, ReadingsUse
 from bench.report.calibration_tables import (
     budget_rows,
     checks,
@@ -20,6 +22,7 @@ from bench.report.run_tables import boresight_rows, inputs, passport_rows, readi
 from bench.wording.numbers import NOTHING
 from calib.diagnosis.hand_eye_verdict import VerdictKind
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
+from calib.model.result_parts import GimbalEstimate, Witness
 from tests.support.printed_text import printed_text
 
 # ---------------------------------------------------------------- the uncertainty budget
@@ -64,9 +67,9 @@ def test_the_page_has_the_table_and_escapes_what_a_station_says(html):
 
 def test_rows_that_can_hold_the_same_errors_are_named(calibration):
     first, *_ = stated = calibration["budget_rows"]
-    own = {**first, "name": COMMON_ERRORS, "value": None, "unit": ""}
-    wavefront = {**first, "name": "slopes of the wavefront", "unit": "urad", "value": 2.0}
-    rows = [row for row in stated if row["name"] != COMMON_ERRORS and row["unit"] != "urad"]
+    own = replace(first, name=COMMON_ERRORS, value=None, unit="")
+    wavefront = replace(first, name="slopes of the wavefront", unit="urad", value=2.0)
+    rows = [row for row in stated if row.name != COMMON_ERRORS and row.unit != "urad"]
     for alone in ([*rows, own], [*rows, wavefront], []):
         assert overlap({"budget_rows": alone}) == ""
     sentence = overlap({"budget_rows": [*rows, own, wavefront]})
@@ -83,7 +86,7 @@ def test_rows_that_can_hold_the_same_errors_are_named(calibration):
 
 @pytest.mark.parametrize("verdict", get_args(VerdictKind))
 def test_every_verdict_has_a_heading(data, verdict):
-    gimbal = dict(data.results["gimbal"]) | {"verdict": verdict, "says": ["What was found."]}
+    gimbal = replace(data.results["gimbal"], verdict=verdict, says=["What was found."])
     (heading,) = [name for name, remark in checks({"gimbal": gimbal}) if remark == "What was found."]
     assert heading.startswith("Gimbal: ")
 
@@ -91,19 +94,29 @@ def test_every_verdict_has_a_heading(data, verdict):
 def test_the_verdict_alone_says_whether_readings_and_rotations_agree(data):
     check = "Hand-eye check: rotations against the gimbal's readings"
     for agrees in (True, False):
-        rows = dict(checks({"gimbal": data.results["gimbal"] | {"agrees": agrees}}))
+        rows = dict(checks({"gimbal": replace(data.results["gimbal"], agrees=agrees)}))
         assert re.fullmatch("RMS difference [^ ]+\\.", rows[check])
+
+
+ENTERED = GimbalEstimate(
+    entered=True,
+    values={},
+    sigma={},
+    chi_square=20.4,
+    degrees_of_freedom=21,
+    rms_deg=0.001,
+    reading_sigma_deg=0.002,
+    scatter=1.0,
+)
 
 
 def test_the_boresight_is_printed_with_u_and_with_the_faces_of_the_mount(data):
     results = copy.deepcopy(dict(data.results))
     assert boresight_rows(results) == []
-    results["calibration"]["gimbal"] = {"entered": True}
+    results["calibration"]["gimbal"] = ENTERED
     assert "two axes of the stage must move" in dict(boresight_rows(results))["Boresight"]
     results["calibration"]["boresight"] = BORESIGHT.to_dict()
-    results["mount_faces"] = [
-        {"name": "front", "normal_in_camera": [0, 0, 1], "angle_deg": 1.28, "expanded_deg": 0.023}
-    ]
+    results["mount_faces"] = [MountFace("front", [0, 0, 1], angle_deg=1.28, expanded_deg=0.023)]
     turned, looks, face = (text for _, text in boresight_rows(results))
     assert turned == "x 0.500° ± 0.012°, y \N{MINUS SIGN}1.250° ± 0.046°, z 3.00° ± 0.11°"
     assert looks == "right 1.146° ± 0.012°, down \N{MINUS SIGN}0.573° ± 0.023° of the flange's axis"
@@ -114,11 +127,10 @@ def test_the_boresight_is_printed_with_u_and_with_the_faces_of_the_mount(data):
 
 
 def witness(name="certificate", **changed):
-    plain = {
-        "name": name, "source": "station", "unit": "mm", "stated": 255.0, "sigma": 0.05, "expected": 255.02,
-        "expected_sigma": 0.04, "innovation": -0.31, "fault_probability": 0.01,
-    }  # fmt: skip
-    return {**plain, **changed}
+    plain = Witness(
+        name, "station", "mm", 255.0, 0.05, 255.02, 0.04, innovation=-0.31, fault_probability=0.01
+    )
+    return replace(plain, **changed)
 
 
 @pytest.mark.parametrize(
@@ -163,26 +175,20 @@ def test_the_report_names_the_passport_with_values_and_hash(data):
 def test_a_passport_from_views_lists_its_centre_and_names_its_aberrations(data):
     values = {"x": 96.1, "y": 140.2, "r": 255.0, "radial": 0.1}
     sigma = {"x": 0.05, "y": 0.06, "r": 0.1, "radial": 0.01}
-    of_views = {
-        "source": "sequence",
-        "name": "c17.json",
-        "number": None,
-        "values": values,
-        "sigma": sigma,
-        "sealed_by": None,
-    }
-    rows = dict(passport_rows(data.results["passport"] | of_views))
+    of_views = replace(
+        data.results["passport"], source="sequence", name="c17.json", number=None, values=values, sigma=sigma
+    )
+    rows = dict(passport_rows(of_views))
     assert rows["Collimator passport"].endswith("file named by the sequence (c17.json)")
     assert rows["Values of the passport"].endswith("r = 255 mm, standard uncertainty 0.1 mm; and radial")
 
 
 def test_readings_that_entered_say_how_they_agree():
-    readings = {"entered": True, "statement": None, "bound": None, "why_not": None}
-    agreed = {"chi_square": 20.4, "degrees_of_freedom": 21, "rms_deg": 0.001}
-    ((_, text),) = readings_rows(readings, agreed | {"scatter": 1.0, "reading_sigma_deg": 0.002})
+    readings = ReadingsUse(entered=True, statement=None, bound=None, why_not=None)
+    ((_, text),) = readings_rows(readings, replace(ENTERED, scatter=1.0, reading_sigma_deg=0.002))
     what = "entered the adjustment as measurements; chi-square 20.4 with 21 degrees of freedom"
     assert text == f"{what}, 3.6 arc seconds RMS"
-    ((_, text),) = readings_rows(readings, agreed | {"scatter": 2.0, "reading_sigma_deg": 0.004})
+    ((_, text),) = readings_rows(readings, replace(ENTERED, scatter=2.0, reading_sigma_deg=0.004))
     widened = "entered with a standard uncertainty of 0.004°, because they scatter more than stated"
     assert text.endswith(widened)
 

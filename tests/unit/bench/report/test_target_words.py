@@ -2,6 +2,7 @@
 
 import copy
 import re
+from dataclasses import replace
 
 import pytest
 from report_sample import SMALL, sample
@@ -19,8 +20,10 @@ def of_board(**run):
     results["run"].pop("target", None)
     budget = {"stars": next(iter(results["calibration"]["budget"].values()))}
     results["calibration"] |= {"model": "planar", "collimator": None, "budget": budget}
-    for row in results["calibration"]["budget_rows"]:  # as the planar model says it
-        row["source"] = row["source"].replace("stars", "points")
+    rows = results["calibration"]["budget_rows"]
+    results["calibration"]["budget_rows"] = [  # as the planar model says it
+        replace(row, source=row.source.replace("stars", "points")) for row in rows
+    ]
     for pose in results["poses"]:  # it is calibrated from files: no attempts, no gates
         pose.pop("attempts", None)
     results |= {"gates": [], "passport": None, "deviations": []}

@@ -1,6 +1,7 @@
 """The report prints every number of the results, each value with its uncertainty."""
 
 import copy
+import json
 import re
 from decimal import Decimal
 
@@ -8,9 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
+from report_sample import COLLIMATOR, RESULTS, SIGMA, SMALL, TRUE
 
+from bench.base.bounded_json import canonical_json
 from bench.record.stored_calibration import camera_of
+from bench.record.stored_run import results_of
 from bench.report.html import ReportData, render_report
 from bench.wording.numbers import with_uncertainty
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
@@ -68,11 +71,12 @@ def test_each_value_is_printed_with_its_uncertainty(html):
     ids=lambda path: ".".join(map(str, path)),
 )  # fmt: skip
 def test_each_number_of_the_results_is_printed(data, html, path):
-    results = copy.deepcopy(dict(data.results))
-    place = results
+    place = content = json.loads(canonical_json(data.results))
     for key in path[:-1]:
         place = place[key]
-    place[path[-1]] = place[path[-1]] * 1.5 + 1
+    number = place[path[-1]]
+    place[path[-1]] = type(number)(number * 1.5 + 1)
+    results = results_of(canonical_json(content), RESULTS)
     changed = printed_text(render_report(ReportData(results, (), data.journal_head)))
     assert changed != printed_text(html)
 

@@ -1,6 +1,7 @@
 """What a report says first: the verdict, the worst corner, the stars' support, the change since the last calibration."""
 
 import copy
+from dataclasses import replace
 
 from bench.report.html import render_report
 from bench.report.verdict import change, verdict
@@ -76,7 +77,8 @@ def test_results_of_earlier_versions_still_name_a_worst_corner(data):
 
 def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
     results = copy.deepcopy(dict(data.results))
-    results["previous"]["change"] |= {"largest_ratio": 2.4, "px_there": 0.31, "largest_px": 0.44}
+    change_then = results["previous"]["change"]
+    results["previous"]["change"] = replace(change_then, largest_ratio=2.4, px_there=0.31, largest_px=0.44)
     results["previous"]["calibration"]["camera"]["fx"] -= 20
     change_text = ": changed by up to 0.31 px = 2.4 U at one place; largest change 0.44 px."
     assert verdict(results).sentences[-1].endswith(change_text)

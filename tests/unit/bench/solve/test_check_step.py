@@ -11,6 +11,7 @@ from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.run_folder import CHECKED_COPY
 from bench.record.stored_calibration import stored_camera
+from bench.record.stored_run import StoredRun
 from bench.report.run_tables import check_rows
 from bench.solve.exports import camera_info
 from bench.wording.conformity import conformity_headline, conformity_sentences
@@ -24,7 +25,7 @@ def run_with(folder, stated):
 
 
 def results_of(run):
-    return json.loads((run / "results.json").read_text())
+    return StoredRun(run).results
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +42,10 @@ def solved(tmp_path_factory):
 def test_a_run_checks_the_calibration_of_an_earlier_run(solved, tmp_path):
     run = run_with(tmp_path / "a", solved[0])
     results = results_of(run)
-    assert results["check"]["right"] is True
-    assert results["check"]["stated"]["kind"] == "the result of a run"
-    assert results["check"]["stated"]["uncertainty"] is True
-    assert results["conformity"]["passed"] is True
+    assert results["check"].right is True
+    assert results["check"].stated["kind"] == "the result of a run"
+    assert results["check"].stated["uncertainty"] is True
+    assert results["conformity"].passed is True
     assert conformity_headline(results["conformity"]) == "PASS: the checked calibration is right."
     assert (run / CHECKED_COPY).read_bytes() == (solved[0] / "results.json").read_bytes()
     ((name, text),) = check_rows(results["check"])
@@ -55,8 +56,8 @@ def test_a_run_checks_the_calibration_of_an_earlier_run(solved, tmp_path):
 def test_a_lens_that_became_longer_fails_the_run_and_the_folder_holds_all_that_decides_it(solved, tmp_path):
     run = run_with(tmp_path / "b", solved[1])
     results = results_of(run)
-    assert (results["check"]["right"], results["check"]["cause"]) == (False, "scale")
-    assert results["conformity"]["passed"] is False
+    assert (results["check"].right, results["check"].cause) == (False, "scale")
+    assert results["conformity"].passed is False
     assert conformity_headline(results["conformity"]).startswith("FAIL")
     assert "The gate largest E_n of the check failed." in conformity_sentences(results["conformity"])
     text = check_rows(results["check"])[0][1]
@@ -65,7 +66,7 @@ def test_a_lens_that_became_longer_fails_the_run_and_the_folder_holds_all_that_d
     gate = next(gate for gate in results["gates"] if gate["name"] == "largest E_n of the check")
     assert (gate["verdict"], gate["value"] > 1.0) == ("fail", True)
     again = Job.from_run_folder(run)  # by the copy, wherever the file is by now
-    assert again.plan.checked.in_use.to_dict() == results["check"]["stated"]
+    assert again.plan.checked.in_use.to_dict() == results["check"].stated
     (run / CHECKED_COPY).unlink()
     faults = make_plan(again.plan.sequence, again.plan.station, passport_copy=run / "passport.json").faults
     assert any(f"The run folder has no {CHECKED_COPY}" in str(fault) for fault in faults)

@@ -1,11 +1,13 @@
 """Beside a result: halves of the poses, the gimbal's readings, the worst corner, and where stars support it."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 from expected_stars import expected_views
 
+from bench.base.bounded_json import canonical_json
 from bench.solve.checks import gimbal_check, split_half_check
 from bench.solve.results_content import projection_facts
 from calib.engine import CalibrationOptions, calibrate
@@ -23,8 +25,8 @@ def views():
 def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
     """By less, where what is not known is the same in both: the glass, here of two views each."""
     check = split_half_check(views, CalibrationOptions())
-    assert 0.0 < check["ratio"] < 2.5
-    assert check["worst_px"] >= check["rms_px"] > 0
+    assert 0.0 < check.ratio < 2.5
+    assert check.worst_px >= check.rms_px > 0
     assert split_half_check(views[:3], CalibrationOptions()) is None
 
 
@@ -36,11 +38,11 @@ def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
     ]
     check = gimbal_check(calibration, readings)
     for axis, scale in (("pan_deg", 0.998), ("tilt_deg", 1.0)):
-        assert check["scale"][axis] == pytest.approx(scale, abs=4 * check["scale_sigma"][axis])
-    assert (check["verdict"], check["agrees"]) == ("scale_or_parallax", False)
-    assert (check["slip"], check["faults"]) == (None, [])
-    assert check["pairs"]["count"] == 28
-    assert json.loads(json.dumps(check, allow_nan=False)) == check
+        assert check.scale[axis] == pytest.approx(scale, abs=4 * check.scale_sigma[axis])
+    assert (check.verdict, check.agrees) == ("scale_or_parallax", False)
+    assert (check.slip, check.faults) == (None, [])
+    assert check.pairs["count"] == 28
+    assert json.loads(canonical_json(check)) == asdict(check)
     assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None
 
 
@@ -49,8 +51,8 @@ def test_a_slip_among_small_angles_is_stated_with_pose_size_and_what_looks_the_s
         {"pan": pan, "tilt": tilt + (0.2 if index >= 5 else 0.0)} for index, (pan, tilt) in enumerate(POSES)
     ]
     check = gimbal_check(calibrate(views, CalibrationOptions()), readings)
-    (fault,) = check["faults"]
-    assert (check["verdict"], check["agrees"], fault["pose"], fault["claimed"]) == (
+    (fault,) = check.faults
+    assert (check.verdict, check.agrees, fault["pose"], fault["claimed"]) == (
         "camera_turned",
         False,
         5,
@@ -58,9 +60,9 @@ def test_a_slip_among_small_angles_is_stated_with_pose_size_and_what_looks_the_s
     )
     assert fault["size_deg"] == pytest.approx(0.2, abs=5 * fault["sigma_deg"])
     # Pan within 6 degrees: a slip of the tilt axis and a camera that turned about it differ by .001 degrees.
-    assert "between pose 5 (-4 -2) and pose 6 (5 -2)" in check["says"][0]
-    assert "a slipped axis explains the data nearly as well" in check["says"][0]
-    assert json.loads(json.dumps(check, allow_nan=False)) == check
+    assert "between pose 5 (-4 -2) and pose 6 (5 -2)" in check.says[0]
+    assert "a slipped axis explains the data nearly as well" in check.says[0]
+    assert json.loads(canonical_json(check)) == asdict(check)
 
 
 # ---------------------------------------------------------------- corners
@@ -75,21 +77,20 @@ def test_the_worst_corner_has_px_and_microradians_with_the_factor():
         -1, 2
     )
     facts = projection_facts(CAMERA, COVARIANCE, 2.0, [stars])
-    worst = facts["worst_corner"]
-    assert worst["corner"] in {"top left", "top right", "bottom left", "bottom right"}
+    worst = facts.worst_corner
+    assert worst.corner in {"top left", "top right", "bottom left", "bottom right"}
     # at the corner, a px is 1/f of the tangent, less the cosine squared of 12.4 degrees
-    assert worst["expanded_urad"] == pytest.approx(1e6 * worst["expanded_px"] / 3345.0, rel=0.06)
-    assert worst["expanded_px"] > facts["median"]["expanded_px"]
+    assert worst.expanded_urad == pytest.approx(1e6 * worst.expanded_px / 3345.0, rel=0.06)
+    assert worst.expanded_px > facts.median.expanded_px
     once = projection_facts(CAMERA, COVARIANCE, 1.0, [stars])
-    assert worst["expanded_px"] == pytest.approx(2 * once["worst_corner"]["expanded_px"])
-    supported = facts["supported"]
-    assert 0.4 < supported["share"] < 0.75
-    assert supported["expanded_px"] < worst["expanded_px"]
+    assert worst.expanded_px == pytest.approx(2 * once.worst_corner.expanded_px)
+    assert 0.4 < facts.supported.share < 0.75
+    assert facts.supported.expanded_px < worst.expanded_px
 
 
 def test_stars_at_one_place_support_little_and_no_stars_nothing():
     facts = projection_facts(CAMERA, COVARIANCE, 2.0, [np.array([[640.0, 360.0]])])
-    assert facts["supported"]["share"] == pytest.approx(
-        np.pi * facts["supported"]["reach_px"] ** 2 / (1280 * 720), rel=0.01
+    assert facts.supported.share == pytest.approx(
+        np.pi * facts.supported.reach_px**2 / (1280 * 720), rel=0.01
     )
-    assert projection_facts(CAMERA, COVARIANCE, 2.0, [])["supported"] is None
+    assert projection_facts(CAMERA, COVARIANCE, 2.0, []).supported is None

@@ -124,9 +124,9 @@ def test_faces_of_the_mount_get_their_angle_to_the_ray_through_the_middle():
     settings = {"station.gimbal": f"{{reading_sigma_deg: 0.002, source: G-3, faces: {faces}}}"}
     stated = make_plan(*load_documents("three_pose", "simulated", settings)).station.value
     front, side = mount_faces(SimpleNamespace(boresight=boresight), stated)
-    assert (front["name"], side["name"]) == ("front", "side")
-    assert front["angle_deg"] == pytest.approx(np.degrees(np.arctan(0.02)))
-    assert (side["angle_deg"], side["normal_in_camera"]) == (pytest.approx(90.0), [-1.0, 0.0, 0.0])
-    assert side["expanded_deg"] > 50 * front["expanded_deg"] > 0
+    assert (front.name, side.name) == ("front", "side")
+    assert front.angle_deg == pytest.approx(np.degrees(np.arctan(0.02)))
+    assert (side.angle_deg, side.normal_in_camera) == (pytest.approx(90.0), [-1.0, 0.0, 0.0])
+    assert side.expanded_deg > 50 * front.expanded_deg > 0
     assert mount_faces(SimpleNamespace(boresight=None), stated) is None
     assert mount_faces(SimpleNamespace(boresight=boresight), station()) is None

@@ -67,8 +67,8 @@ def test_encoders_replace_the_readings_of_their_axes():
 )
 def test_readings_that_do_not_enter_say_why_not(task, settings, why):
     _, _, readings = solved(task, **settings)
-    assert readings["entered"] is False
-    assert readings["why_not"].startswith(why)
+    assert readings.entered is False
+    assert readings.why_not.startswith(why)
     (first, *_) = readings_rows(readings, None)
     assert first[0] == "Gimbal readings"
     assert why in first[1]
@@ -76,10 +76,10 @@ def test_readings_that_do_not_enter_say_why_not(task, settings, why):
 
 def test_readings_with_a_bound_enter_and_the_report_says_how_they_agree():
     calibration, options, readings = solved(job(GIMBAL % OFF_PIVOT))
-    assert readings["entered"] is True
-    assert readings["statement"]["source"] == "G-3"
-    assert readings["bound"]["parallax"] == pytest.approx(-0.06 * 2 / calibration.collimator.r)
-    rows = dict(readings_rows(readings, calibration.to_dict()["gimbal"]))
+    assert readings.entered is True
+    assert readings.statement.source == "G-3"
+    assert readings.bound["parallax"] == pytest.approx(-0.06 * 2 / calibration.collimator.r)
+    rows = dict(readings_rows(readings, calibration.gimbal))
     assert "chi-square" in rows["Gimbal readings"]
     assert "\N{MINUS SIGN}0.047 % of the focal length" in rows["Uncertainty of the readings"]
     assert options.gimbal is not None
@@ -88,8 +88,8 @@ def test_readings_with_a_bound_enter_and_the_report_says_how_they_agree():
 def test_readings_with_a_wrong_scale_are_named():
     scaled = [{"pan": 1.05 * pan, "tilt": float(tilt)} for pan, tilt in POSES]
     _, _, readings = solved(job(GIMBAL % OFF_PIVOT), scaled)
-    assert readings["entered"] is False
-    assert "They contradict the stars" in readings["why_not"]
+    assert readings.entered is False
+    assert "They contradict the stars" in readings.why_not
 
 
 def test_limits_judge_expanded_uncertainties_and_the_worst_corner():
