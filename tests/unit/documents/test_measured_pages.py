@@ -10,7 +10,8 @@ ROOT = Path(__file__).parents[3]
 FOLDER = ROOT / "docs" / "measured"
 PAGES = sorted(path for path in FOLDER.glob("*.md") if path.stem != "README")
 ORIGIN = re.compile(
-    r"^Measured by `(python (\S+)|starbench \w+)[^`]*`.*commit [0-9a-f]{8}.*\d{4}-\d\d-\d\d", re.MULTILINE
+    r"^Measured by `(python (?:-m pytest -m slow )?(\S+)|starbench \w+)[^`]*`.*commit [0-9a-f]{8}.*\d{4}-\d\d-\d\d",
+    re.MULTILINE,
 )
 
 
