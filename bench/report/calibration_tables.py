@@ -30,21 +30,12 @@ _DOUBTED = 0.3
 """Probability of a fault from which on a statement is named in the notes (`calib.joint.words`)."""
 
 _VERDICTS = {
-    "agrees": "Gimbal: readings and rotations agree",
-    "slip": "Gimbal: an axis slipped",
-    "camera_turned": "Gimbal: the camera turned in its mount",
-    "wrong_pose": "Gimbal: a pose does not fit",
-    "not_square": "Gimbal: the axes are not at right angles",
-    "wrong_sign": "Gimbal: the sign of an axis is wrong",
-    "ambiguous": "Gimbal: no scale can be stated",
-    "contradictory": "Gimbal: no scale can be stated",
-    "focal_length": "Gimbal: no fault found; the focal length may be wrong",
-    "scale_or_parallax": "Gimbal: scale error or parallax",
-    "gimbal_scale": "Gimbal: its scale is in question",
-    "views_biased": "Gimbal: no fault shown; the views contradict each other",
-    "scatter": "Gimbal: scatter of unknown cause",
+    "agrees": "readings and rotations agree",
+    "ambiguous": "no scale can be stated",
+    "scale or parallax": "scale error or parallax",
+    "views biased": "no fault shown; the views contradict each other",
 }
-"""Heading of each verdict of the hand-eye check."""
+"""Heading of each verdict of the hand-eye check that is no kind of a cause, or of an earlier version."""
 
 Cell = tuple[str, float]
 """A cell of a matrix: its text and the strength of its shading, 0 to 1."""
@@ -238,7 +229,8 @@ def _gimbal(gimbal: GimbalComparison) -> list[tuple[str, str]]:
     """Describe the hand-eye check."""
     text = f"RMS difference {angle(gimbal.rms_arcsec)}."
     rows = [("Hand-eye check: rotations against the gimbal's readings", text)]
-    rows.append((_VERDICTS[gimbal.verdict], " ".join(gimbal.says)))
+    verdict = gimbal.verdict.replace("_", " ")  # an earlier version wrote one word
+    rows.append((f"Gimbal: {_VERDICTS.get(verdict, verdict)}", " ".join(gimbal.says)))
     for axis, scale in gimbal.scale.items():
         value, expanded = with_uncertainty(scale, 2 * gimbal.scale_sigma[axis])
         rows.append(

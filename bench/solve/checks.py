@@ -15,10 +15,13 @@ from bench.measure.expected_grid import engine_angles_deg
 from bench.record.results import GimbalComparison, Halves, MountFace, Numbers, ParallaxData
 from bench.stations.station import Station
 from bench.stations.station_budget import GimbalConfig
-from calib.diagnosis.gimbal_faults import GimbalFault
+from calib.calibration import REFERENCE_MODELS
 from calib.diagnosis.hand_eye import check_hand_eye
+from calib.diagnosis.hand_eye_result import AGREES
+from calib.diagnosis.weighed_suspects import Found
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
+from calib.model.cause import LARGEST_EVIDENCE, SLIPPED
 from calib.model.gimbal_readings import AXES
 from calib.studies.camera_check import split_half
 from calib.studies.parallax import Parallax, PupilWalk, pupil_walk
@@ -63,45 +66,39 @@ def gimbal_check(
             scale_sigma=math.hypot(stated.scale_sigma, math.radians(stated.eccentricity_deg))
             if stated
             else 0.0,
-            focal_uncertainty=_focal_uncertainty(calibration),
-            birge_ratio=calibration.birge_ratio,
+            # The covariance of the joint adjustment holds that the views differ.
+            birge_ratio=calibration.birge_ratio if calibration.model in REFERENCE_MODELS else 1.0,
             names=[view.name for view in calibration.views],
         )
     except CalibrationError:  # too few poses, or axes that did not move
         return None
     entered = calibration.gimbal is not None and calibration.gimbal.entered
-    faults = [_fault(check_fault) for check_fault in check.faults]
-    slips = [fault for fault in faults if fault["kind"] == "slip"]
+    faults = [_fault(found) for found in check.found]
+    slips = [fault for fault in faults if fault["kind"] == SLIPPED]
     return GimbalComparison(
         rms_arcsec=check.rms_arcsec,
         scale=check.scale,
         scale_sigma=check.scale_sigma,
-        agrees=check.verdict.kind == "agrees",
+        agrees=check.verdict == AGREES,
         excess_arcsec=check.excess_arcsec,
-        verdict=check.verdict.kind,
-        says=[*check.verdict.says, *(_NOT_INDEPENDENT if entered else ())],
+        verdict=check.verdict,
+        says=[*check.says, *(_NOT_INDEPENDENT if entered else ())],
         pairs=asdict(check.pairs) if check.pairs is not None else None,
         slip=slips[0] if slips else None,
         faults=faults,
     )
 
 
-def _focal_uncertainty(calibration: Calibration) -> float | None:
-    """Return the larger U of fx and fy, as a share of the value; None if neither was estimated."""
-    values, expanded = calibration.values, calibration.U
-    shares = [expanded[name] / values[name] for name in ("fx", "fy") if name in values]
-    return max(shares, default=None)
-
-
-def _fault(fault: GimbalFault) -> dict[str, str | float | bool | None]:
-    """Return a fault, for results.json; poses count from 0."""
+def _fault(found: Found) -> dict[str, str | float | bool | None]:
+    """Return a suspect that was found, for results.json; poses count from 0."""
+    suspect = found.suspect
     return {
-        "kind": fault.kind,
-        "axis": AXES[fault.axis] if fault.kind == "slip" else None,
-        "pose": None if fault.kind == "squareness" else fault.pose,
-        "size_deg": fault.size_deg,
-        "sigma_deg": fault.sigma_deg,
-        "probability": fault.probability,
+        "kind": suspect.kind,
+        "axis": AXES[suspect.axis] if suspect.kind == SLIPPED else None,
+        "pose": suspect.pose,
+        "size_deg": math.degrees(found.size_rad),
+        "sigma_deg": math.degrees(found.sigma_rad),
+        "probability": 1.0 / (1.0 + math.exp(0.5 * min(found.evidence, LARGEST_EVIDENCE))),
         "claimed": True,  # Readers of earlier results expect it: those listed others, too
     }
 

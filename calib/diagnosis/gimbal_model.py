@@ -1,12 +1,12 @@
 """Model of a gimbal: what its readings and its errors say about the rotation of its head.
 
-The head turns by Rz(roll) Rx(tilt) Rz(squareness) Ry(pan). Each axis can have a scale, and the gimbal can have faults.
+The head turns by Rz(roll) Rx(tilt) Ry(pan). Each axis can have a scale, and suspects turn the camera further.
 
 The angle of a relative rotation does not depend on how the camera is mounted or where the gimbal stands. So pairs of
 poses show about what the scales are without any other estimate.
 
 The fit to the rotations that a camera saw has more unknowns: the camera is mounted on the gimbal's head with a rotation
-A, and the gimbal's base stands before the target with a rotation B, R = A Rz(roll) Rx(tilt) Rz(squareness) Ry(pan) B.
+A, and the gimbal's base stands before the target with a rotation B, R = A Rz(roll) Rx(tilt) Ry(pan) B.
 This is the rotation part of the robot-world and hand-eye problem (Tsai and Lenz, 1989; Zhuang, Roth and Sudhakar,
 1994). The sum of squares can have more than one minimum. So several starts are refined and the lowest one is used.
 """
@@ -15,12 +15,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from scipy import linalg
 
-from calib.arrays import Array, Bools
+from calib.arrays import Array
+from calib.diagnosis.suspects import AXIS_ORDER, TARGET_ORDER, Frames, Suspect
 from calib.model.gimbal import Gimbal, mountings
 from calib.model.rotation import exp_map, log_map
 
@@ -35,7 +35,6 @@ _TINY = 1e-14
 _MAD = 1.4826
 
 
-FaultKind = Literal["slip", "mount", "pose", "squareness"]
 #: A direction of the parameters is determined if its singular value exceeds this share of the largest.
 _DETERMINED = 1e-7
 _STEPS = 60
@@ -43,73 +42,34 @@ _STEPS = 60
 _SAME = 1e-3
 
 
-@dataclass(frozen=True)
-class Fault:
-    """A fault that a gimbal can have.
-
-    ``slip``: the readings of an axis are off by a constant from a pose on. ``mount``: the camera turned in its mount
-    before a pose. ``pose``: one pose does not fit. ``squareness``: the axes of pan and tilt are not at right angles.
-    """
-
-    kind: FaultKind
-    axis: int = 0  # Index of the axis that slipped
-    pose: int = 0  # Index of the first pose after slip or turn, or of the pose that does not fit
-
-    @property
-    def size(self) -> int:
-        """Number of its parameters, rad: a turned camera and a wrong pose have a rotation vector."""
-        return 3 if self.kind in {"mount", "pose"} else 1
-
-    def poses(self, count: int) -> Bools:
-        """Return (count,) which poses have it: all from the first one on, or the one that does not fit."""
-        numbers = np.arange(count)
-        return numbers == self.pose if self.kind == "pose" else numbers >= self.pose
-
-    def columns(self, motors: Array, leaning: Array) -> Array:
-        """Return (n, 3, size) derivatives of the rotations, from the axes as `Gimbal.turned` returns them."""
-        if self.kind == "squareness":
-            return leaning[:, :, None]
-        turned = motors[:, :, [self.axis]] if self.kind == "slip" else np.eye(3)
-        return np.asarray(turned * self.poses(len(motors))[:, None, None])
-
-
 @dataclass(frozen=True, eq=False)
 class GimbalModel:
-    """The readings of a gimbal, (n, 3) degrees of pan, tilt and roll, axes with a free scale, and faults."""
+    """The readings of a gimbal, (n, 3) degrees of pan, tilt and roll, axes with a free scale, and suspects."""
 
     angles: Array
     free: tuple[int, ...]
-    faults: tuple[Fault, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
 
     @property
     def start(self) -> Array:
-        """(p,) float64 values of an ideal gimbal: scales, then the parameters of each fault, rad."""
-        return np.append(np.ones(len(self.free)), np.zeros(sum(fault.size for fault in self.faults)))
+        """(p,) float64 values of an ideal gimbal: scales, then the parameters of each suspect, rad."""
+        return np.append(np.ones(len(self.free)), np.zeros(sum(suspect.size for suspect in self.suspects)))
 
-    def of(self, fault: Fault, values: Array) -> Array:
-        """Return the (size,) part of (p, ...) values that belongs to a fault."""
-        at = self.faults.index(fault)
-        first = len(self.free) + sum(earlier_fault.size for earlier_fault in self.faults[:at])
-        return values[first : first + fault.size]
+    def of(self, suspect: Suspect, values: Array) -> Array:
+        """Return the (size,) part of (p, ...) values that belongs to a suspect."""
+        at = self.suspects.index(suspect)
+        first = len(self.free) + sum(earlier.size for earlier in self.suspects[:at])
+        return values[first : first + suspect.size]
 
-    def turned(self, values: Array) -> tuple[Array, Array, Array]:
-        """Return (n, 3, 3) rotations, head <- base, and the axes that turn them, as `Gimbal.turned`, at (p,) values."""
-        read, square = np.deg2rad(self.angles), 0.0
-        read[:, list(self.free)] *= values[: len(self.free)]
-        for fault in self.faults:
-            if fault.kind == "slip":
-                read[fault.pose :, fault.axis] += self.of(fault, values)[0]
-            elif fault.kind == "squareness":
-                square = float(self.of(fault, values)[0])
-        return Gimbal(non_orthogonality=square).turned(np.rad2deg(read))
+    def read_deg(self, values: Array) -> Array:
+        """Return the (n, 3) angles with the scales of (p,) values."""
+        angles = self.angles.copy()
+        angles[:, list(self.free)] *= values[: len(self.free)]
+        return angles
 
-    def errors(self, values: Array) -> Array:
-        """Return (n, 3) rotation vectors, rad, about the camera's axes by which it has turned or poses do not fit."""
-        errors = np.zeros((len(self.angles), 3))
-        for fault in self.faults:
-            if fault.size > 1:
-                errors[fault.poses(len(errors))] += self.of(fault, values)
-        return errors
+    def heads(self, values: Array) -> Array:
+        """Return the (n, 3, 3) rotations, head <- base, at the scales of (p,) values."""
+        return Gimbal().heads(self.read_deg(values))
 
 
 @dataclass(frozen=True)
@@ -121,14 +81,9 @@ class PairRatios:
     count: int
 
 
-def pair_ratios(rotations: Array, model: GimbalModel, values: Array) -> PairRatios | None:
-    """Compare seen and read angles of all pairs of poses that fit; None if none turned by half a degree or more.
-
-    Rotations are camera <- target. Of the (p,) values of the model, the scales do not matter.
-    """
-    fits = [pose for pose in range(len(rotations)) if Fault("pose", pose=pose) not in model.faults]
-    unit = np.append(model.start[: len(model.free)], values[len(model.free) :])
-    seen, read = _pairs(rotations[fits]), _pairs(model.turned(unit)[0][fits])
+def pair_ratios(rotations: Array, angles_deg: Array) -> PairRatios | None:
+    """Compare angles, seen by (n, 3, 3) rotations and read, of all pairs of poses; None if none turned far enough."""
+    seen, read = _pairs(rotations), _pairs(Gimbal().heads(angles_deg))
     used = (read > np.deg2rad(_MOVED_DEG)) & (np.maximum(seen, read) < np.deg2rad(_LARGEST_TURN_DEG))
     used &= seen > 0
     if not used.any():
@@ -148,7 +103,7 @@ def first_scales(rotations: Array, model: GimbalModel) -> Array:
     i, j = np.triu_indices(len(rotations), 1)
     read = np.deg2rad(model.angles[i] - model.angles[j])[:, list(model.free)] ** 2
     seen = _pairs(rotations) ** 2
-    ratios = pair_ratios(rotations, model, model.start)
+    ratios = pair_ratios(rotations, model.angles)
     ratio = ratios.ratio if ratios else 1.0
     squares = np.full(len(model.free), ratio**2)
     for _ in range(_RATIO_STEPS):
@@ -181,13 +136,13 @@ class GimbalFit:
     values: Array  # (p,) float64 values of the model
     off: Array  # (3 n,) float64 seen minus read, as rotation vectors about the camera's axes, rad
     jacobian: Array  # (3 n, 6 + p) float64 derivatives of the rotations by A, B and the values
-    motors: Array  # (n, 3, 3) axes as `Gimbal.turned` returns them, seen from the camera
-    leaning: Array  # (n, 3) axis of the lean as `Gimbal.turned` returns it, seen from the camera
+    errors: Array  # (n, 3, 3) turns of the camera by the suspects
+    frames: Frames  # About what further suspects would turn the camera
     chi_square: float
 
-    def columns(self, fault: Fault) -> Array:
-        """Return (3 n, size) derivatives of the rotations by the parameters of a fault."""
-        return fault.columns(self.motors, self.leaning).reshape(len(self.off), -1)
+    def columns(self, suspect: Suspect) -> Array:
+        """Return (3 n, size) derivatives of the rotations by the parameters of a suspect."""
+        return suspect.columns(self.frames).reshape(len(self.off), -1)
 
     @cached_property
     def open_directions(self) -> Array:
@@ -216,22 +171,34 @@ def fit_at(
 ) -> GimbalFit:
     """Compare the rotations with A, B and the (p,) values.
 
-    Own derivation: with R = E A G B, a rotation vector a on the left of A turns R by E a, and b on the left of B turns
-    it by E A G b. A motor turns the head about its own axis. E is the error of a pose that does not fit: its derivative
-    is that at E = 1.
+    Own derivation: R = E A G B, where E is the product of the turns by all suspects in their order, each about its axes
+    as they stand without the others. A turn a on the left of A, b on the left of B, or one about a motor's axis, turns
+    R as seen through those suspects that come before.
     """
     a, b, values = parameters
-    read, errors = np.deg2rad(model.angles), exp_map(model.errors(values))
-    heads, motors, leaning = model.turned(values)
-    mounted = errors @ a
-    head, motors, leaning = mounted @ heads, mounted @ motors, np.einsum("nij,nj->ni", mounted, leaning)
-    off = log_map(rotations @ np.swapaxes(head @ b, 1, 2)).reshape(-1)
-    free = list(model.free)
-    columns = [errors, head, motors[:, :, free] * read[:, None, free]]
-    columns += [fault.columns(motors, leaning) for fault in model.faults]
+    head, motors, leaning = Gimbal(a, b).turned(model.read_deg(values))
+    frames = Frames(motors, leaning[:, :, None], head @ b)
+    about = [suspect.columns(frames) for suspect in model.suspects]
+    turns = [exp_map(axes @ model.of(own, values)) for own, axes in zip(model.suspects, about, strict=True)]
+
+    def before(order: int) -> Array:
+        errors = np.asarray(np.broadcast_to(np.eye(3), head.shape), np.float64)
+        for k in sorted(range(len(turns)), key=lambda k: model.suspects[k].order):
+            errors = errors @ turns[k] if model.suspects[k].order < order else errors
+        return errors
+
+    errors = before(TARGET_ORDER + 1)
+    seen = frames.turned(errors)
+    off = log_map(rotations @ np.swapaxes(seen.target, 1, 2)).reshape(-1)
+    columns = [before(1), before(TARGET_ORDER) @ head]
+    columns += [
+        before(AXIS_ORDER[axis]) @ motors[:, :, [axis]] * np.deg2rad(model.angles)[:, None, [axis]]
+        for axis in model.free
+    ]
+    columns += [before(own.order) @ axes for own, axes in zip(model.suspects, about, strict=True)]
     jacobian = np.concatenate(columns, axis=2).reshape(len(off), -1)
     squares = float(((whitening @ off) ** 2).sum())
-    return GimbalFit(model, a, b, values, off, jacobian, motors, leaning, squares)
+    return GimbalFit(model, a, b, values, off, jacobian, errors, seen, squares)
 
 
 def refine(
@@ -271,7 +238,7 @@ def global_fit(rotations: Array, model: GimbalModel, whitening: Array, values: A
     """
     tried: list[Array] = []
     fits = []
-    for a, b in zip(*mountings(rotations, model.turned(values)[0]), strict=True):
+    for a, b in zip(*mountings(rotations, model.heads(values)), strict=True):
         if all(np.abs(a - other).max() > _SAME for other in tried):
             tried.append(a)
             fits.append(refine(rotations, model, whitening, (a, b, values)))
@@ -279,14 +246,10 @@ def global_fit(rotations: Array, model: GimbalModel, whitening: Array, values: A
 
 
 def scales_near(fit: GimbalFit, values: Array) -> bool:
-    """Return whether all scales, which come first, lie between half and twice their start, the (p,) values.
-
-    False for a scale that is negative or absurd, and for axes half a turn away from a right angle.
-    """
-    model, count = fit.model, len(fit.model.free)
-    ratio, square = fit.values[:count] / values[:count], Fault("squareness")
-    leaning = model.of(square, fit.values)[0] if square in model.faults else 0.0
-    return bool(((ratio > 0.5) & (ratio < 2.0)).all() and abs(leaning) < 1.0)
+    """Return whether all scales, which come first, lie between half and twice their start, the (p,) values."""
+    count = len(fit.model.free)
+    ratio = fit.values[:count] / values[:count]
+    return bool(((ratio > 0.5) & (ratio < 2.0)).all())
 
 
 def _unit_columns(matrix: Array) -> tuple[Array, Array]:

@@ -1,41 +1,44 @@
 """Hand-eye check: the gimbal's readings compared with the rotations that the camera saw.
 
 The check is a witness: the readings do not enter the calibration here. It estimates how the camera is mounted, how the
-gimbal stands, and a scale of each axis that moved (`calib.diagnosis.gimbal_model`). It searches for faults
-(`calib.diagnosis.gimbal_faults`), and the verdict names whose error it is.
-
-A wrong focal length changes all seen angles by the same ratio, along all axes and in all pairs of poses. So a common
-ratio within the uncertainty of the focal length belongs to the calibration (camera or collimator), not to the gimbal.
+gimbal stands, and a scale of each axis that moved (`calib.diagnosis.gimbal_model`). It weighs what may be wrong with
+the rotations (`calib.diagnosis.weighed_suspects`) and with the list of readings: signs, axes, order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.diagnosis.gimbal_faults import Explanation, SeenRotations, search_faults
 from calib.diagnosis.gimbal_model import (
     GimbalFit,
     GimbalModel,
     first_scales,
     global_fit,
     pair_ratios,
-    scales_near,
 )
-from calib.diagnosis.hand_eye_verdict import HandEyeCheck
+from calib.diagnosis.hand_eye_result import HandEyeCheck, OtherReadings
+from calib.diagnosis.suspects import FEWEST, ODDS, Suspect
+from calib.diagnosis.weighed_suspects import Explanation, Found, SeenRotations, none_fits, search
 from calib.errors import DegenerateViews, InputMismatch
+from calib.model import cause as kinds
 from calib.model.gimbal_readings import AXES, ENCODER_SHARE, MIN_VIEWS, MOVED_DEG, alike_errors, angles_of
-from calib.model.likelihood_ratio import DECISIVE
-from calib.model.rotation import ARCSEC, log_map
+from calib.model.likelihood_ratio import ALONE
+from calib.model.rotation import ARCSEC
 from calib.one_thread import on_one_thread
 
+#: Parallax before a real collimator imitates a scale of this 1-sigma.
+PARALLAX = 0.005
 #: A scale with a larger 1-sigma is not determined.
 _UNDETERMINED = 0.25
-#: Minima differ if their scales or mountings differ by this many sigmas.
-_DIFFERENT = 5.0
+#: 2 log of the odds of a camera that looks backwards, and so does not see the target; of other readings than stated.
+_BACKWARDS, _OTHER = -100.0, 2.0 * math.log(ODDS)
+#: A camera looks backwards if the z component of its axis is below this.
+_BACK = -0.5
 
 
 @on_one_thread
@@ -46,7 +49,7 @@ def check_hand_eye(
     *,
     reading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
-    focal_uncertainty: float | None = None,
+    parallax_sigma: float = PARALLAX,
     birge_ratio: float = 1.0,
     names: Sequence[str] = (),
 ) -> HandEyeCheck:
@@ -56,8 +59,8 @@ def check_hand_eye(
     Zhuang, Roth and Sudhakar (1994). Least squares with a covariance matrix: Aitken (1936). Scatter beyond the stated
     covariance: Paule and Mandel (1982). Rotations, covariance (of `Calibration.rotation_covariance`) and Birge ratio
     are those of a `Calibration`. ``reading_sigma_deg`` is what is stated of each reading, 1 sigma: scatter below it is
-    no fault. ``scale_sigma`` is what is stated of the scale of each axis, 1 sigma: a ratio within it is none either.
-    ``focal_uncertainty`` is U of its focal length as a share of it; None for twice the 1-sigma of the scales.
+    no fault. ``scale_sigma`` is what is stated of the scale of each axis, 1 sigma: a ratio within it is none either;
+    ``parallax_sigma`` what parallax may do to all of them.
     Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
     Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
     """
@@ -73,28 +76,91 @@ def check_hand_eye(
     given = tuple(i for i, axis in enumerate(AXES) if any(axis in reading for reading in readings_deg))
     enough = 3 * len(angles) > 6 + moved.sum()
     free = tuple(int(i) for i in np.flatnonzero(moved)) if enough else ()
-    model = GimbalModel(angles, free)
-    values = first_scales(rotations, model)
-    equal = np.eye(len(covariance))
-    start = global_fit(rotations, model, equal, values)[0]
-    of_readings = _covariance_of(np.deg2rad(reading_sigma_deg) * start.motors[:, :, moved], angles[:, moved])
-    seen = SeenRotations(rotations, covariance + of_readings, start)
-    first = seen.explain(model, start)
-    mirrored = False
-    if 2 in free and len(free) > 1:
-        model = replace(model, angles=angles * (1.0, 1.0, -1.0))
-        other = seen.explain(model, global_fit(rotations, model, equal, values)[0])
-        better = other.likelihood > first.likelihood + DECISIVE or not scales_near(first.fit, values)
-        mirrored = better and scales_near(other.fit, values)
-        first = other if mirrored else first
-    last, faults = search_faults(seen, first, given)
+    stated = _Stated(rotations, covariance, float(np.deg2rad(reading_sigma_deg)), given)
+    first = stated.weighed(GimbalModel(angles, free))
+    best, other, beside = first, None, tuple[str, ...]()
+    if enough and (first.last.scattered or _looks_back(first.last.fit)):  # others fit no better
+        tried = [
+            (each, stated.weighed(GimbalModel(own, free, more)))
+            for each, own, more in _other_readings(angles, free)
+        ]
+        tried.sort(key=lambda pair: -pair[1].worth)
+        if tried and tried[0][1].worth > first.worth - _OTHER:
+            other, best = tried[0]
+            near = [each.kind for each, weighed in tried[1:] if weighed.worth > best.worth - ALONE]
+            beside = tuple(kind for kind in near if kind != other.kind)
     return replace(
-        _compared(seen, first, last, mirrored, scale_sigma),
+        _compared(best, scale_sigma, parallax_sigma),
+        other=other,
+        beside=beside,
         names=names,
-        faults=faults,
-        focal_uncertainty=focal_uncertainty,
         birge_ratio=birge_ratio,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighed:
+    """What explains the rotations by a list of readings."""
+
+    seen: SeenRotations
+    first: Explanation  # Without suspects
+    last: Explanation
+    found: tuple[Found, ...]
+    worth: float  # 2 log of the likelihood times the odds
+
+
+@dataclass(frozen=True, eq=False)
+class _Stated:
+    """Rotations, their covariance, 1-sigma of a reading, and the axes that are read."""
+
+    rotations: Array
+    covariance: Array
+    sigma_rad: float
+    axes: tuple[int, ...]
+
+    def weighed(self, model: GimbalModel) -> _Weighed:
+        """Return what explains the rotations, beginning with a model."""
+        values = np.append(first_scales(self.rotations, model), model.start[len(model.free) :])
+        start = global_fit(self.rotations, model, np.eye(len(self.covariance)), values)[0]
+        moved = np.ptp(model.angles, axis=0) > MOVED_DEG
+        of_readings = _covariance_of(
+            self.sigma_rad * start.frames.motors[:, :, moved], model.angles[:, moved]
+        )
+        seen = SeenRotations(self.rotations, self.covariance + of_readings, start)
+        first = seen.explain(model, start)
+        last, found, worth = search(seen, first, self.axes)
+        found = tuple(each for each in found if each.suspect not in model.suspects)
+        return _Weighed(seen, first, last, found, worth + _BACKWARDS * _looks_back(last.fit))
+
+
+def _looks_back(fit: GimbalFit) -> bool:
+    """Return whether the camera would look backwards, or an axis turn backwards, as with a wrong sign.
+
+    Half a turn of the mounting about x reverses pan and roll, about y tilt and roll, about z pan and tilt.
+    """
+    backwards = fit.camera_from_head[2, 2] < _BACK or (fit.values[: len(fit.model.free)] < 0.0).any()
+    return bool(not fit.open_directions.size and backwards)
+
+
+def _other_readings(
+    angles: Array, free: tuple[int, ...]
+) -> Iterator[tuple[OtherReadings, Array, tuple[Suspect, ...]]]:
+    """Yield what else (n, 3) angles may be, and poses whose reading is then unknown."""
+    moved, last = set(free), len(angles) - 1
+    if {0, 1} <= moved:
+        yield OtherReadings(kinds.REVERSED, "pan or of tilt"), angles * (-1.0, 1.0, 1.0), ()
+        yield OtherReadings(kinds.EXCHANGED), angles[:, [1, 0, 2]], ()
+    if 2 in moved and len(moved) > 1:
+        yield OtherReadings(kinds.REVERSED, "roll"), angles * (1.0, 1.0, -1.0), ()
+    if len(moved) == 3:
+        yield OtherReadings(kinds.REVERSED, "roll and of one other axis"), angles * (-1.0, 1.0, -1.0), ()
+    if len(angles) >= FEWEST:
+        for by, unknown in ((1, last), (-1, 0)):
+            yield (
+                OtherReadings(kinds.LATE, value=float(by)),
+                np.roll(angles, -by, axis=0),
+                (Suspect(kinds.ONE_POSE, pose=unknown),),
+            )
 
 
 def _covariance_of(axes_rad: Array, angles_deg: Array) -> Array:
@@ -108,64 +174,24 @@ def _covariance_of(axes_rad: Array, angles_deg: Array) -> Array:
     return np.asarray(both.reshape(3 * len(angles_deg), -1))
 
 
-def _compared(
-    seen: SeenRotations, first: Explanation, last: Explanation, mirrored: bool, scale_sigma: float
-) -> HandEyeCheck:
-    """Return what the rotations show, without faults and with them, before anything is said of the calibration."""
+def _compared(weighed: _Weighed, stated_scale_sigma: float, parallax_sigma: float) -> HandEyeCheck:
+    """Return what the rotations show, by the readings that explain them best."""
+    last, seen = weighed.last, weighed.seen
     fit, free = last.fit, last.fit.model.free
     scales = slice(6, 6 + len(free))
-    spread = last.covariance[scales, scales]
-    sigma = np.sqrt(np.diag(spread))
-    freedom, whole = fit.degrees_of_freedom, not fit.open_directions.size
-    # Shared errors have few, large eigenvalues; the median is the variance that is a rotation's own.
-    own = float(np.median(np.linalg.eigvalsh(last.scatter.covariance)))
-    scatter = max(float(fit.off @ fit.off) / max(freedom, 1), own)
-    alone = scatter * np.diag(fit.covariance(np.eye(len(fit.off))))[scales]
-    values, each = fit.values[: len(free)], np.eye(len(free))
-    apart = each[values.argmax()] - each[values.argmin()] if free else np.zeros(0)
-    ambiguous = bool(free) and (
-        fit.undetermined_scales or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)
-    )
+    sigma = np.sqrt(np.diag(last.covariance[scales, scales]))
+    ambiguous = bool(free) and (fit.undetermined_scales or bool(sigma.max() > _UNDETERMINED))
     known = [] if ambiguous else [AXES[axis] for axis in free]
     return HandEyeCheck(
-        dict(zip(known, values.tolist(), strict=False)),
+        dict(zip(known, fit.values.tolist(), strict=False)),
         dict(zip(known, sigma.tolist(), strict=False)),
-        np.sqrt(alone + scale_sigma**2),
-        float(np.sqrt(np.maximum(apart @ spread @ apart, 0.0) + 2.0 * scale_sigma**2)),
-        pair_ratios(seen.rotations, fit.model, fit.values),
+        stated_scale_sigma,
+        parallax_sigma,
+        pair_ratios(np.swapaxes(fit.errors, 1, 2) @ seen.rotations, fit.model.angles),
         ambiguous,
-        _reversed_axes(set(free), bool(whole and fit.camera_from_head[2, 2] < -0.5), mirrored),
         ARCSEC * last.excess_rad,
-        freedom,
-        ARCSEC * first.fit.off.reshape(-1, 3),
+        last.scatters,
+        ARCSEC * weighed.first.fit.off.reshape(-1, 3),
+        none_fits(seen, last),
+        weighed.found,
     )
-
-
-def _reversed_axes(free: set[int], backwards: bool, mirrored: bool) -> tuple[str, ...]:
-    """Return the axes of which the sign of one is reversed, each in words; empty if no sign is.
-
-    Half a turn of the mounting about x reverses pan and roll, about y tilt and roll, about z pan and tilt. So a wrong
-    sign shows as a camera that looks backwards, or, with three axes, as readings that fit only if roll is mirrored.
-    """
-    if free >= {0, 1} and backwards != mirrored and not mirrored:
-        return ("pan", "tilt") if 2 not in free else ("roll and of one other axis",)
-    if mirrored and free == {0, 1, 2}:
-        return ("pan", "tilt") if backwards else ("roll",)
-    return ("roll",) if backwards and 2 in free and len(free) == 2 else ()
-
-
-def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array) -> bool:
-    """Return whether another minimum with other scales, or another mounting, fits nearly as well."""
-    fit, count = last.fit, len(last.fit.model.free)
-    minima = global_fit(seen.rotations, fit.model, last.scatter.whitening, fit.values)
-    mounting = float(np.sqrt(np.trace(last.covariance[:3, :3])))
-
-    def differs(other: GimbalFit) -> bool:
-        if not scales_near(other, fit.values) or other.chi_square > fit.chi_square + DECISIVE:
-            return False
-        if (np.abs(other.values[:count] - fit.values[:count]) > _DIFFERENT * sigma + 1e-6).any():
-            return True
-        turned = float(np.linalg.norm(log_map(other.camera_from_head @ fit.camera_from_head.T)))
-        return not fit.open_directions.size and turned > _DIFFERENT * mounting + 1e-4
-
-    return any(differs(other) for other in minima)

@@ -15,34 +15,24 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions
-from calib.diagnosis.gimbal_faults import GimbalFault
-from calib.diagnosis.gimbal_model import GimbalModel, first_scales
+from calib.diagnosis.hand_eye import PARALLAX as PARALLAX_SIGMA
 from calib.diagnosis.hand_eye import check_hand_eye
-from calib.diagnosis.hand_eye_verdict import HandEyeCheck
 from calib.errors import CalibrationError
 from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.collimator import CENTRE
 from calib.joint.evidence import log_evidence
 from calib.joint.hypotheses import FOCUS_STEP
-from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
+from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, ORTHOGONAL, READINGS, SCALE_OF
 from calib.joint.modes import modes_of
 from calib.joint.posterior import Posterior
-from calib.joint.readings import SCATTER
 from calib.joint.solve import Optimum
 from calib.model import cause as kinds
 from calib.model.cause import LARGEST_EVIDENCE, PARALLAX, Cause
-from calib.model.gimbal import MOUNTING
-from calib.model.gimbal_readings import AXES, GimbalReadings, angles_of
 from calib.model.likelihood_ratio import DECISIVE, needed
-from calib.model.result_parts import GimbalEstimate
-from calib.model.rotation import exp_map
 from calib.model.type_b_terms import SCALES
 from calib.view import View
 
-#: An axis moved if its readings differ by more, degrees. A scale that is so far off, in its logarithm, is a wrong
-#: number of steps; the search for faults expects scales within a tenth.
-_MOVED_DEG, _FAR_SCALE = 0.5, 0.2
 #: Prior 1 sigma of a step of the focal length, as a share: 2 degrees of an ordinary ring. Smaller ones than the second
 #: number may come from 3 K of aluminium.
 _STEP, _LEAST_STEP = 1e-3, 1e-4
@@ -57,7 +47,8 @@ _AMPLITUDE_STEPS = 20
 _MORE_PROBABLE = 0.5
 #: Certificates are right to this share: beyond it, the target is wrong more often.
 _CERTIFIED = 1e-3
-_FAULTS = {"slip": kinds.SLIPPED, "mount": kinds.TURNED, "pose": kinds.ONE_POSE}
+#: What readings seem to contradict.
+_OF_GIMBAL = (READINGS, ORTHOGONAL, *(SCALE_OF.format(axis) for axis in ("pan", "tilt", "roll")))
 
 
 def find_causes(
@@ -186,13 +177,12 @@ def _two_log_odds(against: float) -> float:
 
 
 def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, ...]:
-    """Return what readings that contradict the stars show: a wrong sign, or faults, or else a wrong scale."""
+    """Return what explains the readings and the rotations of the stars together."""
     readings = stated.gimbal
-    if readings is None or not _contradicts(result.gimbal) or not len(result.rotation_covariance):
+    if readings is None or not len(result.rotation_covariance):
         return ()
-    if far := _far_scales(result, readings):
-        return far
-    u = result.U
+    bound, centre = readings.parallax, result.collimator
+    parallax = math.hypot(*bound.mean_and_sigma(centre.r)) if bound and centre else PARALLAX_SIGMA
     try:
         check = check_hand_eye(
             result.rotations,
@@ -200,88 +190,12 @@ def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, 
             readings.angles_deg,
             reading_sigma_deg=readings.reading_sigma_deg,
             scale_sigma=math.hypot(readings.scale_sigma, math.radians(readings.eccentricity_deg)),
-            focal_uncertainty=max(u[name] / result.values[name] for name in ("fx", "fy")),
-            birge_ratio=result.birge_ratio,
+            parallax_sigma=parallax,
             names=[view.name for view in result.views],
         )
     except CalibrationError:  # too few poses, or axes that did not move
         return ()
-    if check.reversed_axes:
-        return (
-            Cause(
-                kinds.REVERSED,
-                LARGEST_EVIDENCE,
-                axis=kinds.one_of(check.reversed_axes),
-                beside=(kinds.EXCHANGED,) if len(check.reversed_axes) > 1 else (),
-                explains=(READINGS,),
-            ),
-        )
-    if check.faults:
-        return tuple(_of_fault(check, fault) for fault in check.faults if fault.kind in _FAULTS)
-    return _of_scale(check)
-
-
-def _contradicts(gimbal: GimbalEstimate | None) -> bool:
-    """Return whether readings contradict the stars: they did not enter, or scatter, or the camera looks backwards."""
-    if gimbal is None:
-        return False
-    mounting = exp_map(np.radians([gimbal.values.get(name, 0.0) for name in MOUNTING]))
-    return not gimbal.entered or gimbal.scatter >= SCATTER or bool(mounting[2, 2] < 0.0)
-
-
-def _far_scales(result: Calibration, readings: GimbalReadings) -> tuple[Cause, ...]:
-    """Return the axes whose scale is so wrong that no other fault is looked for, by the angles between the poses."""
-    angles = angles_of(readings.angles_deg)
-    free = tuple(np.flatnonzero(np.ptp(angles, axis=0) > _MOVED_DEG).tolist())
-    if 3 * len(angles) <= 6 + len(free) or not free:
-        return ()
-    ratios = dict(zip(free, first_scales(result.rotations, GimbalModel(angles, free)).tolist(), strict=True))
+    # How many times more than stated readings scatter, and with what weight they entered, stays to be said.
     return tuple(
-        Cause(kinds.AXIS_SCALE, LARGEST_EVIDENCE, value=ratio, axis=_axis(AXES[k]), explains=(READINGS,))
-        for k, ratio in ratios.items()
-        if abs(math.log(ratio)) > _FAR_SCALE
-    )
-
-
-def _axis(name: str) -> str:
-    """Return the name of an axis without its unit."""
-    return name.removesuffix("_deg")
-
-
-def _of_fault(check: HandEyeCheck, fault: GimbalFault) -> Cause:
-    """Return a fault of the gimbal as a cause. A step at the first or last pose is one pose that does not fit."""
-    names, last = check.names, len(check.names) - 1
-    rivals = {_FAULTS[fault.rival]} if fault.rival in _FAULTS else set()
-    if fault.kind == "pose" and fault.pose in (0, last):
-        rivals |= {kinds.TURNED}
-    return Cause(
-        _FAULTS[fault.kind],
-        _two_log_odds(fault.probability),
-        value=fault.size_deg,
-        expanded=2.0 * fault.sigma_deg,
-        unit="degrees",
-        axis=_axis(AXES[fault.axis]) if fault.kind == "slip" else "",
-        before=names[fault.pose - 1] if fault.kind != "pose" else "",
-        pose=names[fault.pose],
-        beside=tuple(sorted(rivals)),
-        explains=(READINGS,),
-    )
-
-
-def _of_scale(check: HandEyeCheck) -> tuple[Cause, ...]:
-    """Return the scale of the axis that is farthest from 1, if no parallax imitates it."""
-    if check.verdict.kind != "gimbal_scale" or not check.scale:
-        return ()
-    axis = max(check.scale, key=lambda name: abs(check.scale[name] - 1.0))
-    value, sigma = check.scale[axis], check.scale_sigma[axis]
-    evidence = min(((value - 1.0) / sigma) ** 2, LARGEST_EVIDENCE)
-    return (
-        Cause(
-            kinds.AXIS_SCALE,
-            evidence,
-            value=value,
-            expanded=2.0 * sigma,
-            axis=_axis(axis),
-            explains=(READINGS,),
-        ),
+        replace(cause, explains=_OF_GIMBAL[cause.kind == kinds.SCATTERED :]) for cause in check.causes
     )

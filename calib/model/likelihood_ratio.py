@@ -6,6 +6,8 @@ import math
 
 #: Evidence is decisive if 2 log(likelihood ratio) exceeds this: odds of 150 to 1 (Kass and Raftery, 1995: very strong).
 DECISIVE = 10.0
+#: A cause stands alone if nothing else is within a factor of 20, as 2 log of the odds.
+ALONE = 2.0 * math.log(20.0)
 
 
 def needed(places: int) -> float:

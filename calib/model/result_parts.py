@@ -21,6 +21,7 @@ ROW_QUANTITIES = ("fx", "fy", "cx", "cy", WORST_CORNER)
 STARS, READINGS = "stars", "readings of the gimbal"
 POSE_FIELDS, COMMON_FIELD = "disagreement of the views", "errors that all views share"
 TURN_FIELDS, AMPLITUDES = "errors that follow the turn", "sizes of the errors"
+UNSTEADY = "focal length that is not steady"
 PUPILS = "places of the pupil"
 PASSPORT, PRIORS, LENS = "passport of the collimator", "known beforehand", "expected lens"
 PARALLAX, UNBOUNDED_PARALLAX = "parallax", "parallax, not bounded"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from running import results, starbench
 
+from calib.model.cause import SLIPPED
+
 STATION = """\
 format: starbench/station/1
 name: Simulated bench with a home-built gimbal
@@ -34,7 +36,7 @@ def test_with_nine_poses_the_slip_is_named(tmp_path) -> None:
     ended = starbench("run", "nine_pose", "-s", station, "--seed", 7, "-o", folder, home=tmp_path / "home")
     assert ended.returncode == 0, ended.stderr
     run_results = results(folder)
-    assert run_results["gimbal"]["verdict"] == "slip"
+    assert run_results["gimbal"]["verdict"] == SLIPPED
     slip = run_results["gimbal"]["slip"]
     assert (slip["axis"], slip["pose"]) == ("pan_deg", 4)
     assert slip["size_deg"] * 3600 == pytest.approx(17.5, abs=2)

@@ -19,7 +19,7 @@ from . import product
 from .attacks import readings, shifted, statement, views
 from .bench import NINE, Bench
 from .geometry import SIZE
-from .knowledge import options_for, solve
+from .knowledge import Array, options_for, solve
 
 Change = Callable[[Bench, np.random.Generator], Bench]
 
@@ -38,15 +38,19 @@ def _after(rng: np.random.Generator) -> int:
     return int(rng.integers(2, len(NINE) - 2))
 
 
-def _knocked(deg: float) -> Change:
+def _turned(turns_deg: Callable[[np.random.Generator], Array], by_room: bool = False) -> Change:
+    """Turn the camera at each pose by (9, 3) rotation vectors in its frame, or what it sees by those in the room's."""
+
     def change(bench: Bench, rng: np.random.Generator) -> Bench:
-        first, axis = _after(rng), rng.normal(size=3)
-        turn = exp_map(np.radians(deg) * axis / np.linalg.norm(axis))
+        turns = np.radians(turns_deg(rng))
+        if by_room:
+            angles = np.radians(NINE)
+            heads = [exp_map(np.array([tilt, 0, 0])) @ exp_map(np.array([0, pan, 0])) for pan, tilt in angles]
+            turns = np.einsum("nij,nj->ni", heads, turns)
+        matrices = exp_map(turns)
 
         def turned(i: int, view: Any) -> Any:
-            if i < first:
-                return view
-            px = bench.camera.project(bench.camera.rays(view.px) @ turn.T)
+            px = bench.camera.project(bench.camera.rays(view.px) @ matrices[i].T)
             seen = ((px > 0) & (px < np.array(SIZE) - 1)).all(axis=1)
             return replace(
                 view, ids=view.ids[seen], px=px[seen], mm=view.mm[seen], sigma_px=view.sigma_px[seen]
@@ -57,15 +61,35 @@ def _knocked(deg: float) -> Change:
     return change
 
 
-def _ring(share: float) -> Change:
+_POSES = np.arange(len(NINE))
+
+
+def _knocked(deg: float, axis: Array | None = None, by_room: bool = False) -> Change:
+    def turns(rng: np.random.Generator) -> Array:
+        first, drawn = _after(rng), rng.normal(size=3)
+        unit = drawn if axis is None else axis
+        return np.outer(first <= _POSES, deg * unit / np.linalg.norm(unit))
+
+    return _turned(turns, by_room)
+
+
+def _creep(deg: float, by_room: bool = False) -> Change:
+    return _turned(lambda _: np.outer(_POSES, deg * np.array([0.45, 0.89, 0.0])), by_room)
+
+
+def _focus(log_f: Callable[[np.random.Generator], Array]) -> Change:
+    """Change the focal length of each pose by (9,) shares."""
+
     def change(bench: Bench, rng: np.random.Generator) -> Bench:
-        first, v = _after(rng), bench.camera.values
-        centre, factor = np.array([v["cx"], v["cy"]]), 1.0 + share
-        return views(
-            lambda i, view: replace(view, px=centre + factor * (view.px - centre)) if i >= first else view
-        )(bench)
+        v, shares = bench.camera.values, log_f(rng)
+        centre = np.array([v["cx"], v["cy"]])
+        return views(lambda i, view: replace(view, px=centre + (1.0 + shares[i]) * (view.px - centre)))(bench)
 
     return change
+
+
+def _ring(share: float) -> Change:
+    return _focus(lambda rng: share * (_after(rng) <= _POSES))
 
 
 def _pitch(factor: float) -> Change:
@@ -90,6 +114,18 @@ def _one_reading(deg: float) -> Change:
         return readings(lambda i, pose: {**pose, "pan_deg": pose["pan_deg"] + deg * (i == at)})(bench)
 
     return change
+
+
+def _readings_of(change: Callable[[Array], Array]) -> Change:
+    """Change the (9, 2) readings of pan and tilt."""
+
+    def changed(bench: Bench, _: np.random.Generator) -> Bench:
+        angles = change(np.array([[pose["pan_deg"], pose["tilt_deg"]] for pose in bench.readings_deg]))
+        return readings(lambda i, _: dict(zip(("pan_deg", "tilt_deg"), angles[i].tolist(), strict=True)))(
+            bench
+        )
+
+    return changed
 
 
 def _certificate(bench: Bench, _: np.random.Generator) -> Bench:
@@ -129,6 +165,28 @@ MISTAKES: Mapping[str, Mistake] = {
     "images mirrored": Mistake(_mirrored, (), "mirror"),
     "camera upside down": Mistake(_rolled),  # which is right
     "ids of a view shifted": Mistake(_shifted),  # a note, and no cause
+    "collimator knocked by 0.1 degrees": Mistake(_knocked(0.1, by_room=True), (kinds.MOVED,)),
+    "collimator knocked by 0.5 degrees": Mistake(_knocked(0.5, by_room=True), (kinds.MOVED,)),
+    "target turned in its holder": Mistake(_knocked(0.3, np.array([0.0, 0.0, 1.0]), True), (kinds.HELD,)),
+    "camera creeps by 0.02 degrees a pose": Mistake(_creep(0.02), (kinds.CREEPS,)),
+    "collimator creeps by 0.02 degrees a pose": Mistake(_creep(0.02, by_room=True), (kinds.SHIFTS,)),
+    "camera loose by 0.05 degrees": Mistake(_turned(lambda rng: rng.normal(0, 0.05, (9, 3))), (kinds.LOOSE,)),
+    "camera loose by 0.005 degrees": Mistake(
+        _turned(lambda rng: rng.normal(0, 0.005, (9, 3))), (kinds.LOOSE,)
+    ),
+    "camera sags by 1 % of the tilt": Mistake(
+        _turned(lambda _: np.array([[0.01 * tilt, 0.0, 0.0] for _, tilt in NINE])), (kinds.SAGS,)
+    ),
+    "focus ring creeps by 1e-3 a pose": Mistake(_focus(lambda _: 1e-3 * _POSES), (kinds.FOCUS_CREEPS,)),
+    "focus ring creeps by 3e-4 a pose": Mistake(_focus(lambda _: 3e-4 * _POSES), (kinds.FOCUS_CREEPS,)),
+    "focus ring creeps by 1e-4 a pose": Mistake(_focus(lambda _: 1e-4 * _POSES), (kinds.FOCUS_CREEPS,)),
+    "focus plays by 1e-3": Mistake(_focus(lambda _: 1e-3 * (_POSES % 2)), (kinds.FOCUS_PLAYS,)),
+    "pan and tilt exchanged": Mistake(_readings_of(lambda angles: angles[:, ::-1]), (kinds.EXCHANGED,)),
+    "readings in gon": Mistake(_readings_of(lambda angles: angles / 0.9), (kinds.UNITS,)),
+    "readings one pose late": Mistake(_readings_of(lambda angles: np.roll(angles, 1, axis=0)), (kinds.LATE,)),
+    "readings of other poses": Mistake(
+        _readings_of(lambda angles: angles[[4, 7, 1, 0, 8, 3, 6, 2, 5]]), (kinds.NONE_FITS,)
+    ),
 }
 
 
@@ -147,5 +205,15 @@ def mistaken(name: str, seed: int) -> dict[str, Any]:
     # A cause that the data cannot tell from another is told with the other.
     first = {causes[0], *answer.raw.causes[0].beside} if causes else set()
     right = bool(first & set(mistake.named)) if mistake.named else not causes
-    wrong = bool(causes) and not right
-    return {**line, "causes": causes, "told": list(answer.notes), "right": right, "wrong": wrong}
+    errors = {
+        q: (answer.values[q] - bench.camera.values[q]) / answer.raw.U[q] for q in ("fx", "fy", "cx", "cy")
+    }
+    line["worst"] = round(max(map(abs, errors.values())), 2)
+    return {
+        **line,
+        "causes": causes,
+        "first": sorted(first),
+        "told": list(answer.notes),
+        "right": right,
+        "wrong": bool(causes) and not right,
+    }

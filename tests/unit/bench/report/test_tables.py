@@ -3,7 +3,6 @@
 import copy
 import re
 from dataclasses import replace
-from typing import get_args
 
 import pytest
 from report_sample import BORESIGHT, SMALL, sample
@@ -20,7 +19,8 @@ from bench.report.calibration_tables import (
 from bench.report.html import ReportData, render_report
 from bench.report.run_tables import boresight_rows, inputs, passport_rows, readings_rows
 from bench.wording.numbers import NOTHING
-from calib.diagnosis.hand_eye_verdict import VerdictKind
+from calib.diagnosis.hand_eye_result import AGREES, AMBIGUOUS, OFF_SCALE, VIEWS_BIASED
+from calib.model.cause import SLIPPED
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
 from calib.model.result_parts import GimbalEstimate, Witness
 from tests.support.printed_text import printed_text
@@ -84,7 +84,7 @@ def test_rows_that_can_hold_the_same_errors_are_named(calibration):
 # ---------------------------------------------------------------- the gimbal: no blame without evidence
 
 
-@pytest.mark.parametrize("verdict", get_args(VerdictKind))
+@pytest.mark.parametrize("verdict", [AGREES, AMBIGUOUS, OFF_SCALE, VIEWS_BIASED, SLIPPED, "wrong_sign"])
 def test_every_verdict_has_a_heading(data, verdict):
     gimbal = replace(data.results["gimbal"], verdict=verdict, says=["What was found."])
     (heading,) = [name for name, remark in checks({"gimbal": gimbal}) if remark == "What was found."]
