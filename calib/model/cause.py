@@ -196,8 +196,7 @@ _WORDS: Mapping[str, Words] = {
     FOCUSED: Words(
         "the focus ring was touched between two poses",
         "repeat the first pose",
-        "The focal length is {size} {longer} after the pose '{before}': the focus ring was probably touched there. "
-        + _NO_SINGLE,
+        "The focal length is {size} {longer} after the pose '{before}': the focus ring was probably touched there",
         f"Lock the ring, and {_ALL}",
     ),
     FOCUS_CREEPS: Words(

@@ -1,15 +1,17 @@
-"""The plain adjustment: every effect is a row of one table, every prior is independent, one mixture gives value and U.
+"""The joint adjustment: every effect is a row of one table, every prior is independent, one mixture gives value and U.
 
 The modules in the order of the work, each with what it hands on. `amplitudes`: how large the families of errors are
-expected to be (`Expected`). `fields`: smooth fields over the target (`Fields`). `camera`: the camera as unknowns
-(`Camera`). `table`: the table of effects (`Table`, then `Unknowns`: maps of the poses, what follows the pupil's place,
-means, 1-sigmas, amplitudes, budget rows, `Statement`s). `knowledge`: what the station states (`Known`). `effects`: all
-rows but those of a gimbal (`Glass`). `passport`: those of a known collimator. `gimbal`: readings (`Readings`).
-`problem`: stars, table and readings about a start (`Task`, `Start`; `Problem`, `State`). `weights`: how much each star
-counts (`Weights`). `equations`: a small matrix a view (`Equations`). `solution`: the posterior for given amplitudes
-(`Solution`), its likelihood and gradient. `search`: amplitudes and state (`Optimum`). `starts`: where searches begin.
-`hypotheses`: what may be otherwise (`Hypothesis`: other 1-sigmas of some unknowns, and odds). `posterior`: the mixture
-(`Posterior`). `adjust`: the door, from views and options to the posterior. The equations stand in docs/adjustment.md.
+expected to be (`Expected`). `fields`, `shapes`: smooth fields over the target. `camera`: the camera as unknowns.
+`table`: the table of effects (`Table`, then `Unknowns`, with a `Statement` for what somebody says). `knowledge`: what
+the station states (`Known`). `effects`: all rows but those of a gimbal. `passport`: those of a known collimator.
+`gimbal`: readings. `pupils`: how the pupil is moved. `poses`: which views are one pose. `problem`: stars, table and
+readings about a start (`Problem`, `State`). `weights`: how much each star counts. `equations`: a small matrix a view.
+`solution`: the posterior for given amplitudes, its likelihood and gradient. `search`: amplitudes and state (`Optimum`).
+`starts`: where searches begin. `hypotheses`: what may be otherwise. `posterior`: the mixture about an optimum.
+`adjust`: from views and options to the posteriors. `evidence`: how two are compared. `explanations`: other lenses and
+ways of the pupil. `mixture`: what a result states over all of them. `uncertainty`: U. `budget`, `witnesses`,
+`left_out`, `words`: what is told of it. `added_columns`, `wrong_views`, `causes`: what a person may have done.
+`result`: the door, a `Calibration`. `forecast`: the face for studies. The equations stand in docs/adjustment.md.
 
 Three decisions keep it short. log r is the unknown: along f / r, which the image fixes, no step bends. All unknowns are
 independent beforehand, each shape of an error by itself. What may be otherwise is another 1-sigma of some unknowns.

@@ -15,7 +15,7 @@ from calib.model.rim_fit import Discs
 from calib.view import View
 
 from .camera import Camera, lens_names
-from .knowledge import Known
+from .knowledge import CERTIFICATE, Known
 from .poses import seen_poses
 from .posterior import Posterior, posterior
 from .problem import Problem, Start, State, Task
@@ -26,20 +26,27 @@ from .starts import first_starts
 
 #: A search that ends so far from its start, as a share, begins again there: fields are stated for the right radius.
 _FAR, _AGAIN = 0.05, 3
+#: Two searches ended at the same camera if it differs by less than so many sigma. Another one counts if its value is no
+#: farther than the second number: by the weights of its own stars, it may still be the more probable one.
+_SAME, _AS_PROBABLE = 0.2, 16.0
 #: Steps to the smallest circle about all stars.
 _CIRCLE = 400
 
 
 def adjusted(
-    views: Sequence[View], options: CalibrationOptions, pupil: Pupil | None = None, lens: tuple[str, ...] = ()
+    views: Sequence[View],
+    options: CalibrationOptions,
+    pupil: Pupil | None = None,
+    lens: tuple[str, ...] = (),
+    starts: Sequence[Start] = (),
 ) -> list[Posterior]:
     """Return the posteriors of views about the optima that were found, the most probable first.
 
-    ``pupil``: how it is moved, if not as the discs say; ``lens``: other coefficients than the chosen ones. Where a
-    hypothesis leads far from an optimum, its own is searched.
+    ``pupil``: how it is moved, if not as the discs say; ``lens``: other coefficients than the chosen ones;
+    ``starts``: where to begin, if that is known. Where a hypothesis leads far from an optimum, its own is searched.
     """
     known, lens = Known.of(options), lens or lens_names(options.distortion)
-    starts = first_starts(views, lens, known)
+    starts = starts or first_starts(views, lens, known)
     task = _task(views, known, lens, starts[0], pupil)
     ends, failed = list[Optimum](), list[Exception]()
     for start in starts:
@@ -49,13 +56,31 @@ def adjusted(
             failed.append(error)
     if not ends:
         raise NotConverged("The joint adjustment cannot be solved.") from failed[0]
-    found = [posterior(min(ends, key=lambda end: end.solution.value))]
+    first, *others = sorted(ends, key=lambda end: (not end.converged, end.solution.value))
+    found = [posterior(first)]
+    for other in others:
+        if other.converged and all(_is_another(other, one.optimum) for one in found):
+            with suppress(np.linalg.LinAlgError):
+                found.append(posterior(other))
     elsewhere = found[0].elsewhere
     if elsewhere is not None:
         with suppress(np.linalg.LinAlgError):
             start = begun_at(elsewhere.problem, elsewhere.equations.state.moved(*elsewhere.there()))
             found.append(posterior(optimum(task, start, options.max_iterations, elsewhere.wide)))
     return found
+
+
+def _is_another(end: Optimum, other: Optimum) -> bool:
+    """Return whether an end is another camera than that of an optimum, and explains the views about as well."""
+    if end.solution.value - other.solution.value > _AS_PROBABLE:
+        return False
+    problem, c = other.solution.problem, other.state.b[: other.solution.problem.depth]
+    by_camera = problem.camera.by_unknowns(c)[:4]
+    size = by_camera.shape[1]
+    sigmas = np.sqrt(np.diag(by_camera @ other.solution.covariance[:size, :size] @ by_camera.T))
+    there = end.solution.problem.camera.model(end.state.b[: end.solution.problem.depth])
+    apart = np.array(there.values[:4]) - np.array(problem.camera.model(c).values[:4])
+    return bool((np.abs(apart) / sigmas).max() > _SAME)
 
 
 def _task(
@@ -71,13 +96,17 @@ def _task(
 
 def optimum(task: Task, start: Start, rounds: int, wide: Wide = AS_STATED) -> Optimum:
     """Go from a start to the optimum, by a hypothesis; again from its end if that is far away."""
-    for _ in range(_AGAIN):
+    eta, another = None, start.another
+    for reach in (*(_AGAIN - 1) * (_FAR,), np.inf):
         problem, state = task.posed(start)
-        end = search(problem, state, rounds, wide)
+        if another:
+            certificate = next(s for s in problem.unknowns.statements if s.name == CERTIFICATE)
+            wide = dict(zip(certificate.at.tolist(), certificate.free.tolist(), strict=True))
+        end = search(problem, state, rounds, wide, eta, reach)
         last = end.state
         if np.abs(problem.wide[[0, 5]] @ last.b).max() < _FAR:
             break
-        start = begun_at(problem, last)
+        start, eta = begun_at(problem, last), end.solution.eta
     return end
 
 

@@ -178,7 +178,7 @@ class Expected:
     def bundle(self) -> Array:
         """(A,) with which a start is brought near: few errors but those of the lens and radial ones of the glass.
 
-        Without these the centre goes aside.
+        Without these the centre goes aside, and places of a pupil that a hand moves with it.
         """
         begin = self.mean - REACH * self.sigma
         free = self.places((*_NOISES, DISTORTION, TANGENTIAL))

@@ -17,7 +17,7 @@ from calib.model import result_parts as names
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.uncertainty.projection_uncertainty import worst_point
 
-from .results import Mixture
+from .mixture import Mixture
 from .solution import Solution, reading_weights
 from .table import Row, Statement
 
@@ -26,13 +26,14 @@ _ROWS = (
     Row(names.STARS, "A", "residuals of the stars"),
     Row(names.READINGS, "B", "station: reading_sigma_deg"),
     Row(names.PUPILS, "A", "visible discs"),
+    Row(names.UNSTEADY, "A", "the focal lengths of the poses"),
     Row(names.AMPLITUDES, "A", "the sizes of these errors are known only so well"),
 )
 
 
 def variances(mixture: Mixture, rows: Array) -> dict[str, Array]:
     """Return by group the (p,) variances of (p, Q) functions of the quantities; they add up to those of the mixture."""
-    parts: dict[str, Array] = {}
+    parts = {names.UNSTEADY: (rows @ mixture.changing) ** 2} if mixture.unsteady else dict[str, Array]()
     middle, own_means = rows @ mixture.mean, _means(mixture, rows)
     for weight, component, own, number in mixture.members:
         gradients = rows @ own.rows
@@ -61,29 +62,20 @@ def _means(mixture: Mixture, rows: Array) -> list[Array]:
 def _at_component(solution: Solution, gradients: Array) -> dict[str, Array]:
     """Return the (p,) variances by group of quantities with (p, S) gradients."""
     q, p, prior = solution.equations, solution.problem, solution.prior
-    x = solution.covariance @ gradients.T
-    local = -solution.follow @ x
+    x, local, turned = solution.pulled(gradients)
     between, alone, _ = q.local
     stars = (x * (q.shared @ x)).sum(axis=0) + 2.0 * (local * (between @ x)).sum(axis=(0, 1))
     stars = stars + (local * (alone @ local)).sum(axis=(0, 1))
     # What the shared unknowns alone leave of the poses' own: the covariance of the poses does not move quantities.
     parts = {names.STARS: prior.star * stars}
-    _add(parts, [row.name for row in p.unknowns.rows], prior.shared[:, None] * x**2)
-    own = local[:, : q.own_size]
-    _add(parts, [row.name for row in p.own.rows], prior.own[:, None] * (own**2).sum(axis=0))
+    own = (local[:, : q.own_size] ** 2).sum(axis=0)
+    known = np.concatenate([prior.shared[:, None] * x**2, prior.own[:, None] * own])
+    for group, member in p.groups.items():
+        parts[group] = parts.get(group, 0.0) + member @ known
     if p.readings is not None:
-        turned = np.array([local[pose, slot] for pose, slot in zip(p.poses, q.slots, strict=True)])
-        turned = turned - q.by_gimbal @ x[p.readings.at]
         pulled = (reading_weights(q, prior)[:, None, None] * turned**2).sum(axis=(0, 1))
         parts[names.READINGS] = parts.get(names.READINGS, 0.0) + pulled
     return parts
-
-
-def _add(sums: dict[str, Array], groups: list[str], parts: Array) -> None:
-    """Add (T, p) parts to those of their groups."""
-    for name in dict.fromkeys(groups):
-        own = parts[[group == name for group in groups]].sum(axis=0)
-        sums[name] = sums.get(name, 0.0) + own
 
 
 def row_gradients(mixture: Mixture) -> Array:

@@ -1,4 +1,4 @@
-"""All effects of camera, glass, print and pupil as rows of the table (`plain.table`)."""
+"""All effects of camera, glass, print and pupil as rows of the table (`table`)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ _LENS = Row(parts.LENS, "B", "expected sizes of lens coefficients")
 _COMMON = Row(parts.COMMON_FIELD, "A", "residuals that all poses share")
 _TURN = Row(parts.TURN_FIELDS, "A", "residuals that follow the turn")
 _UNBOUNDED = Row(parts.UNBOUNDED_PARALLAX, "B", "not stated; its size follows from the collimator's errors")
-_BOUNDED = Row(parts.PARALLAX, "B", "station: pupil_off_pivot_mm and defocus")
+BOUNDED = Row(parts.PARALLAX, "B", "station: pupil_off_pivot_mm and defocus")
 _X, _Y = np.eye(2)
 
 
@@ -231,9 +231,14 @@ def _common(table: Table, glass: Glass) -> None:
     groups.append((table.field("shifted", _COMMON, shifted, 1.0, amp.SHIFTED), shifted))
     edge = _RADIAL_SCALE * (fields.radius_mm / fields.r0) ** 2 * fields.shapes([lambda h: h])
     groups.append((table.field("scale of radial", _COMMON, edge, 1.0, amp.RADIAL), edge))
+    # A scale that all poses see is another radius: r is the length that the camera sees.
+    unit_scale = fields.shapes([lambda h: h])[:, 0]
     for at, shapes in groups:
+        scales = unit_scale @ shapes / (unit_scale @ unit_scale)
+        table.follows("log r", at, -scales)
+        left = shapes - np.outer(unit_scale, scales)
         for k in np.flatnonzero(np.tile(DEGREES, 2) > 0).tolist():
-            table.follows(f"{FIELD}{k}", at, shapes[k])
+            table.follows(f"{FIELD}{k}", at, left[k])
 
 
 def _print(table: Table, terms: Sequence[TypeBTerm], fields: Fields) -> None:
@@ -273,11 +278,11 @@ def _parallax(table: Table, glass: Glass) -> None:
     else:
         value, sigma = bound.mean_and_sigma(r0)
         sigma = max(sigma, 1e-9)
-        at = table.add("parallax", _BOUNDED, sigma, mean=value, columns=back, by_place=turned)
+        at = table.add("parallax", BOUNDED, sigma, mean=value, columns=back, by_place=turned)
         free = np.array([max(stated.FREE_PARALLAX, 5.0 * sigma)])
-        table.statements.append(Statement(PARALLAX, at, free, LARGER, _BOUNDED, "1", value))
+        table.statements.append(Statement(PARALLAX, at, free, LARGER, BOUNDED, "1", value))
         apart = np.stack([unlike[:, :, 0] - unlike[:, :, 3], unlike[:, :, 1], unlike[:, :, 2]], axis=2)
-        table.add("parallax unlike", _BOUNDED, 0.2 * sigma + 2e-5, count=3, by_place=apart)
+        table.add("parallax unlike", BOUNDED, 0.2 * sigma + 2e-5, count=3, by_place=apart)
     _aside(table, glass)
 
 
@@ -294,7 +299,7 @@ def _aside(table: Table, glass: Glass) -> None:
     else:  # both what is stated and what is expected hold: informations add
         own = max(bound.aside_sigma(r0), 1e-9)
         size = 1.0 / np.hypot(1.0 / own, 1.0 / _EXPECTED_ASIDE)
-        table.add("aside", _BOUNDED, size, count=2, columns=aside)
+        table.add("aside", BOUNDED, size, count=2, columns=aside)
 
 
 def _curvature(table: Table, glass: Glass) -> None:

@@ -122,7 +122,7 @@ class Equations:
         """(S,) its right-hand side."""
         size = self.problem.size
         rights = [self.right_of_views[members][:, :size].sum(axis=0) for members in self.problem.members]
-        return np.asarray(np.einsum("nbs,nb->s", self.maps, np.array(rights)))
+        return np.asarray(np.tensordot(np.array(rights), self.maps, 2))
 
     @property
     def local(self) -> tuple[Array, Array, Array]:
@@ -163,5 +163,4 @@ class Equations:
         between, alone, right = self.local
         squares = self.cost - 2.0 * float(step @ self.shared_right + (local * right).sum())
         squares += float(step @ self.shared @ step)
-        squares += 2.0 * float((local * (between @ step)).sum())
-        return squares + float(np.einsum("nl,nlm,nm->", local, alone, local, optimize=True))
+        return squares + float((local * (2.0 * between @ step + (alone @ local[:, :, None])[:, :, 0])).sum())

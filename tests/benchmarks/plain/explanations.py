@@ -1,13 +1,16 @@
 """What explains the views beside the first adjustment: other optima, lenses and ways of the pupil, as one mixture.
 
 On a gimbal the pupil follows the turn; a hand moves it anywhere. The visible discs and the stars say how probable each
-is.
+is. A bound of the parallax says that a gimbal holds the pupil near its pivot. It is a statement, and can be wrong: if
+the stars contradict what is stated, the ways without it are weighed, too.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,12 +21,14 @@ from calib.model import result_parts as parts
 from calib.model.camera import DISTORTION_SETS
 from calib.view import View
 
-from .adjust import adjusted
+from .adjust import adjusted, begun_at
 from .camera import Camera, lens_names
 from .evidence import log_ratio
+from .knowledge import ASPECT
+from .mixture import Mixture, Part
 from .posterior import Posterior
 from .pupils import Pupil
-from .results import Mixture, Part
+from .witnesses import fault_probabilities
 
 #: The sets of coefficients that stand for the families of lenses.
 _BROWN, _FISHEYE = "k1k2k3p1p2", "fisheye"
@@ -36,6 +41,9 @@ _OTHER_LENS = -5.0
 #: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out. The stars
 #: count at most as much: neither way has all errors that there are, and a search can end at the wrong place.
 _DECIDED = 8.0
+#: Odds that a hand moves the camera although a bound is stated: who states it has measured it, and may have taken the
+#: camera off since. It is asked if all that is stated is right with less than the second probability.
+_NO_BOUND, _CONTRADICTED = 0.02, 0.5
 #: An explanation with a smaller share adds nothing to the result.
 _LEAST = 1e-3
 
@@ -123,7 +131,48 @@ def _moved_otherwise(
         return None
     way, by_discs = (Pupil.WALKS, -wander) if moved.by_hand else (Pupil.BY_HAND, wander)
     with suppress(CalibrationError, np.linalg.LinAlgError):  # these views cannot be explained so
-        there = adjusted(views, options, way, first.problem.camera.lens)[0]
+        start = begun_at(first.problem, first.optimum.state)
+        there = adjusted(views, options, way, first.problem.camera.lens, [start])[0]
         by_stars = 2.0 * log_ratio(there, first)
         return there, 0.5 * (by_discs + float(np.clip(by_stars, -_DECIDED, _DECIDED)))
     return None
+
+
+def without_bound(held: Mixture, views: Sequence[View], options: CalibrationOptions, worth: float) -> Mixture:
+    """Return the mixture that allows for a wrong bound of the parallax, if something contradicts it; else ``held``.
+
+    Ids of a view that are shifted imitate a hand. If they are ``worth`` more, in 2 log of the odds, the bound holds.
+    """
+    first = held.first
+    # A hand contradicts several statements by many sigma; it makes no pixel oblong.
+    faults = fault_probabilities(first)
+    right = math.prod(1.0 - probability for name, probability in faults.items() if name != ASPECT)
+    moved = first.problem.moved
+    other_collimator = bool(first.optimum.solution.wide)  # which says all
+    if moved.pupil is not Pupil.HELD or moved.discs is None or other_collimator or right > _CONTRADICTED:
+        return held
+    try:
+        free, _ = explanations(views, unbounded(options))
+    except (CalibrationError, np.linalg.LinAlgError):  # without the bound nothing determines the camera
+        return held
+    log_odds = log_ratio(free.first, first) + math.log(_NO_BOUND)
+    if free.first.problem.moved.by_hand:
+        log_odds += 0.5 * moved.discs.wander
+    share = 0.5 + 0.5 * math.tanh(0.5 * log_odds)
+    if worth > max(2.0 * log_odds, 0.0) or share < _LEAST:
+        return held
+    pairs = sorted([(share, free), (1.0 - share, held)], key=lambda pair: -pair[0])
+    members = [
+        replace(part, share=own * part.share, row=part.row if mixture is pairs[0][1] else parts.PUPILS)
+        for own, mixture in pairs
+        for part in mixture.parts
+        if own * part.share > _LEAST
+    ]
+    whole = sum(part.share for part in members)
+    return Mixture(tuple(replace(part, share=part.share / whole) for part in members), share)
+
+
+def unbounded(options: CalibrationOptions) -> CalibrationOptions:
+    """Return options in which nothing bounds the parallax."""
+    gimbal = options.gimbal
+    return options if gimbal is None else replace(options, gimbal=replace(gimbal, parallax=None))

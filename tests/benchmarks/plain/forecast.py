@@ -27,10 +27,10 @@ from .effects import Poses
 from .equations import Equations
 from .hypotheses import AS_IT_STANDS, FOCAL, Hypothesis, hypotheses
 from .knowledge import Known
+from .mixture import Mixture, Part, stated
 from .posterior import Component, Posterior
 from .problem import Problem, Start, State, Task
 from .pupils import Moved
-from .results import Mixture, Part, stated
 from .search import Optimum
 from .solution import Solution, Wide, expected_curvature, solve
 from .weights import Weights
@@ -94,7 +94,7 @@ class PredictedViews:
     def _equations(self, problem: Problem, state: State) -> Equations:
         """Return the equations of stars that all count."""
         ones = [np.ones(len(view)) for view in self.views]
-        return Equations.at(problem, state, Weights(ones, ones, 0.0, 0.0, np.ones(len(ones))))
+        return Equations.at(problem, state, Weights(ones, ones, 0.0, 0.0, *np.ones((2, len(ones)))))
 
     def summary(self, eta: Array) -> Summary:
         """Return what these views are expected to give with (A,) logarithms of the amplitudes.
@@ -187,8 +187,8 @@ def _samples(mode: Solution, one: Hypothesis, spread: Array, share: float) -> li
         solutions.append(_still(solve(mode.equations, eta, wide)))
         gain = _expected_value(mode.eta, mode) - _expected_value(mode.eta, solutions[-1])
         logs.append(0.5 * gain + 0.5 * float(z @ z))
-    weights = np.exp(np.array(logs) - max(logs))
-    weights = np.minimum(weights, _LARGEST_WEIGHT * float(np.median(weights)))
+    limited = np.minimum(logs, np.median(logs) + np.log(_LARGEST_WEIGHT))
+    weights = np.exp(limited - limited.max())
     weights *= share / weights.sum()
     return [
         Component(weight, solution, one) for weight, solution in zip(weights.tolist(), solutions, strict=True)

@@ -11,26 +11,30 @@ import numpy as np
 from calib.arrays import Array
 
 from . import amplitudes as amp
-from .hypotheses import AS_IT_STANDS, WRONG, Hypothesis, hypotheses
+from .hypotheses import AS_IT_STANDS, FOCAL, WRONG, Hypothesis, hypotheses
 from .problem import Problem
 from .search import Optimum, best_amplitudes
-from .solution import Solution, expected_curvature, solve
+from .solution import Solution, expected_curvature, otherwise, solve
 from .uncertainty import expanded
 
 #: Amplitudes that may have two optima: they move the principal point. Another is looked for from so many 1-sigma on the
 #: other side of what is expected; two are so far apart at least, and their values no farther than the third number.
 _TWOFOLD, _OTHER, _APART, _NEAR = (amp.PRISM, amp.TANGENTIAL), 1.5, 0.7, 8.0
+#: Logarithms by which that of the curvature begins smaller there, and that of the parallax larger.
+_LOWER, _HIGHER = 2.5, 1.0
 #: The equations hold for steps of this share of focal length and radius.
 _HOLDS = 0.02
 #: A hypothesis below this logarithm of its odds is not searched for its best amplitudes; steps of that search.
 _SEARCHED, _STEPS = -3.5, 8
+#: It is searched, too, if all others are so many sigma from a wrong statement: with it, the amplitudes took it up.
+_CONTRADICTED = 2.0
 #: A hypothesis leads elsewhere if the equations hold less than this there; it may count from this logarithm of its odds
 #: against the likeliest on.
 _FAR, _PROMISING = 0.5, -3.0
-#: A component of this share has its amplitudes sampled along few directions; one of the second along all; one of less
-#: than the last adds nothing.
-_SAMPLED, _MAIN, _LEAST = 0.05, 0.4, 1e-5
-_FEW = 5
+#: A component of this share has its amplitudes sampled; one of less than the second adds nothing.
+_SAMPLED, _LEAST = 0.05, 1e-5
+#: They are sampled along so many directions: U of 60 samples along all of them scatters by 7 % as well.
+_DIRECTIONS = 6
 #: No sample counts more than e times the usual one.
 _LARGEST_LOG = 1.0
 
@@ -110,16 +114,33 @@ def trusted(there: Solution, other: Solution) -> float:
 def modes(best: Solution) -> list[Solution]:
     """Return the best and other optima of the amplitudes at its equations that explain the stars nearly as well."""
     expected, found = best.problem.expected, [best]
-    for k in expected.places(_TWOFOLD).tolist():
-        eta = best.eta.copy()
-        side = np.sign(eta[k] - expected.mean[k])
-        eta[k] = expected.mean[k] - side * _OTHER * expected.sigma[k]
+    for eta in _starts_of_others(best):
         with suppress(np.linalg.LinAlgError):
             at = best_amplitudes(solve(best.equations, eta, best.wide))
             apart = min(float((np.abs(at.eta - other.eta) / expected.sigma).max()) for other in found)
             if apart > _APART and at.value < best.value + _NEAR:
                 found.append(at)
     return found
+
+
+def _starts_of_others(best: Solution) -> list[Array]:
+    """Return the (A,) logarithms at which searches of other optima begin.
+
+    What moves the principal point may be on the other side of what is expected. Where nothing bounds the parallax, it
+    may take the place of field curvature.
+    """
+    expected, starts = best.problem.expected, list[Array]()
+    for k in expected.places(_TWOFOLD).tolist():
+        eta = best.eta.copy()
+        side = np.sign(eta[k] - expected.mean[k])
+        eta[k] = expected.mean[k] - side * _OTHER * expected.sigma[k]
+        starts.append(eta)
+    if amp.PARALLAX in expected.names:
+        eta = best.eta.copy()
+        eta[expected.at(amp.CURVATURE_TURN)] -= _LOWER
+        eta[expected.at(amp.PARALLAX)] += _HIGHER
+        starts.append(eta)
+    return starts
 
 
 @dataclass(frozen=True)
@@ -146,7 +167,7 @@ def posterior(optimum: Optimum) -> Posterior:
         share = float(np.exp(mode.log - whole))
         odds[mode.hypothesis] = odds.get(mode.hypothesis, 0.0) + share
         if share > _SAMPLED:
-            components += _sampled(mode, share, len(mode.solution.eta) if share > _MAIN else _FEW)
+            components += _sampled(mode, share)
         elif share > _LEAST:
             components.append(Component(share, mode.solution, mode.hypothesis))
     likeliest = max(found, key=lambda mode: mode.log)
@@ -175,36 +196,49 @@ class _Weighed:
 
 
 def _by_hypotheses(first: Solution) -> list[_Weighed]:
-    """Return an optimum by each hypothesis; by others once more beside those more probable than all as stated."""
-    stands = _weighed(first, AS_IT_STANDS)
-    weighed, alone, open_ones = {AS_IT_STANDS: stands}, hypotheses(first.problem.unknowns), [AS_IT_STANDS]
+    """Return an optimum by each hypothesis; by others once more beside those that are more probable, the best first."""
+    usual = solve(first.equations, _usual(first), first.wide)
+    weighed = {AS_IT_STANDS: _weighed(first, usual, AS_IT_STANDS, -np.inf)}
+    best, alone, open_ones = weighed[AS_IT_STANDS].log, hypotheses(first.problem.unknowns), [AS_IT_STANDS]
     while open_ones:
-        beside = open_ones.pop()
+        beside = max(open_ones, key=lambda one: weighed[one].log)
+        open_ones.remove(beside)
+        if weighed[beside].log < best + _PROMISING:
+            break
         for one in alone:
             both = beside.beside(one)
             if both is None or both in weighed:
                 continue
-            weighed[both] = _weighed(first, both)
-            if weighed[both].log > stands.log:
+            weighed[both] = _weighed(first, usual, both, best)
+            best = max(best, weighed[both].log)
+            if weighed[both].log > weighed[beside].log:
                 open_ones.append(both)
     return list(weighed.values())
 
 
-def _weighed(first: Solution, hypothesis: Hypothesis) -> _Weighed:
-    """Weigh a hypothesis at an optimum, with its best amplitudes if it may count."""
+def _weighed(first: Solution, usual: Solution, hypothesis: Hypothesis, best: float) -> _Weighed:
+    """Weigh a hypothesis at an optimum, or at usual amplitudes; with its best ones if it may count beside the best."""
     try:
         at = first
         if hypothesis.wide != first.wide:
-            tried = (
-                [first.eta, _usual(first)] if any(f == WRONG for _, f in hypothesis.faults) else [first.eta]
-            )
-            solutions = [solve(first.equations, eta, hypothesis.wide) for eta in tried]
+            wrong = any(fault in (WRONG, FOCAL) for _, fault in hypothesis.faults)
+            tried = [first, usual] if wrong else [first]
+            solutions = [otherwise(solution, hypothesis.wide) for solution in tried]
             at = min(solutions, key=lambda solution: solution.value)
-            if 0.5 * (first.value - at.value) + hypothesis.log_odds > _SEARCHED:
+            if hypothesis.log_odds - 0.5 * at.value > best + _SEARCHED:
                 at = best_amplitudes(at, _STEPS)
+            elif len(hypothesis.faults) == 1 and wrong and _contradicts(at, hypothesis):
+                at = min((best_amplitudes(one, _STEPS) for one in solutions), key=lambda one: one.value)
     except np.linalg.LinAlgError:  # without the statement nothing determines all unknowns
         return _Weighed(hypothesis, first, -np.inf, 0.0)
     return _Weighed(hypothesis, at, hypothesis.log_odds - 0.5 * at.value, trusted(at, first))
+
+
+def _contradicts(there: Solution, hypothesis: Hypothesis) -> bool:
+    """Return whether all others contradict a statement if it is wrong."""
+    at = list(hypothesis.wide)
+    away = there.mean[at] - there.problem.unknowns.mean[at]
+    return bool((np.abs(away) > _CONTRADICTED * np.sqrt(np.diag(there.covariance)[at])).any())
 
 
 def _usual(first: Solution) -> Array:
@@ -223,26 +257,40 @@ def _curvature(solution: Solution) -> tuple[Array, float]:
     """Return the root of the covariance of the standardised logarithms, and the logarithm of its volume."""
     sigma = solution.problem.expected.sigma
     sizes, axes = np.linalg.eigh(0.5 * expected_curvature(solution) * np.outer(sigma, sigma))
+    sizes = np.maximum(sizes, amp.REACH**-2)  # points without errors leave rounding in it
     return np.asarray(axes / np.sqrt(sizes)), -0.5 * float(np.log(sizes).sum())
 
 
 @cache
-def _directions(size: int) -> Array:
-    """Return (A, A) orthonormal directions."""
+def _turned(size: int) -> Array:
+    """Return (D, D) orthonormal directions, none of them along an axis."""
     return np.asarray(np.linalg.qr(np.random.default_rng(0).standard_normal((size, size)))[0])
 
 
-def _sampled(mode: _Mode, share: float, pairs: int) -> list[Component]:
+def _directions(solution: Solution, root: Array) -> Array:
+    """Return (D, A) orthonormal directions in which fx, fy, cx, cy and their uncertainty change most.
+
+    All others change them little, and stay as they are at the mode. ``root``: of the covariance of the logarithms.
+    """
+    camera = np.eye(4, len(solution.step))
+    effects = np.concatenate(solution.by_amplitudes(camera)) @ root
+    most = np.linalg.svd(effects, full_matrices=False)[2][:_DIRECTIONS]
+    return np.asarray(_turned(len(most)) @ most)
+
+
+def _sampled(mode: _Mode, share: float) -> list[Component]:
     """Return components about a mode: spherical cubature of third degree, weighed by their likelihood.
 
-    Arasaratnam and Haykin (2009). All samples lie at the distance sqrt(A), as most of a Gaussian does.
+    Arasaratnam and Haykin (2009). All samples lie at the distance sqrt(D), as most of a Gaussian does.
     """
-    solution, expected, size = mode.solution, mode.solution.problem.expected, len(mode.solution.eta)
+    solution, expected = mode.solution, mode.solution.problem.expected
     low, high = expected.bounds
     solutions, logs = [solution], [0.0]
-    turn = _directions(size)[:pairs]
-    for direction in (*turn, *-turn):
-        eta = solution.eta + np.sqrt(size) * expected.sigma * (mode.root @ direction)
+    root = expected.sigma[:, None] * mode.root
+    directions = _directions(solution, root)
+    size = len(directions)
+    for direction in (*directions, *-directions):
+        eta = solution.eta + np.sqrt(size) * (root @ direction)
         with suppress(np.linalg.LinAlgError):
             at = solve(solution.equations, np.clip(eta, low, high), solution.wide)
             gain = 0.5 * (solution.value - at.value) + 0.5 * size

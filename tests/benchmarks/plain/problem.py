@@ -70,6 +70,7 @@ class Start:
     rotations: Array  # (m, 3, 3) of the views, camera <- target
     camera: Array  # (C,) unknowns of the camera at f0 = f_px
     glass: float = 0.0  # Radial distortion of the glass, of |h|^2 h
+    another: bool = False  # Whether the certificate is another collimator's: its length is free
 
 
 @dataclass(frozen=True)
@@ -196,6 +197,12 @@ class Problem:
     def own_at(self) -> Ints:
         """(F,) place of the amplitude of each own coefficient."""
         return np.array([self.expected.at(name) for name in self.own.amplitudes], np.int64)
+
+    @cached_property
+    def groups(self) -> dict[str, Array]:
+        """By row of the budget (S + F,) 1 for the shared unknowns and own coefficients that belong to it, else 0."""
+        of = [row.name for row in (*self.unknowns.rows, *self.own.rows)]
+        return {name: np.array([float(other == name) for other in of]) for name in dict.fromkeys(of)}
 
     @property
     def star(self) -> int:

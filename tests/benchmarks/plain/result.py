@@ -12,6 +12,7 @@ from calib.arrays import Array, Bools
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_and_mean
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.model.camera import CameraModel
+from calib.model.cause import PARALLAX
 from calib.model.collimator import Collimator
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, STANDING, Gimbal
 from calib.model.passport import Passport
@@ -24,20 +25,22 @@ from . import amplitudes as amp
 from .adjust import adjusted
 from .budget import budget_rows, row_gradients, variances
 from .causes import find_causes
-from .explanations import explanations
+from .explanations import explanations, unbounded, without_bound
 from .fields import FIELD_RADIUS
 from .gimbal import ENCODER
 from .knowledge import FREE_SCALE
 from .left_out import left_out_rms, rotation_errors
+from .mixture import Mixture, Stated, stated
 from .posterior import Posterior
 from .problem import Stars, State
-from .results import Mixture, Stated, stated
+from .pupils import Pupil
 from .search import Optimum, followed
 from .shapes import CENTRE, FIELD, RADIAL
+from .unsteady_focus import spread_of, unsteady_focus
 from .weights import precisions, robust_weights
 from .witnesses import fault_probabilities, witnesses
 from .words import lens_note, notes, require_determined, require_own_certificate
-from .wrong_views import find_other_origins, find_shifted_ids
+from .wrong_views import ShiftedIds, find_other_origins, find_shifted_ids
 
 #: Amplitudes that are given in microradians of a direction; all others are factors or coefficients.
 _DIRECTIONS = (*amp.POSE, *amp.COMMON, *amp.TURN, *amp.TURN_2, amp.CHANGE)
@@ -56,6 +59,17 @@ class _Answer:
     mixture: Mixture
     state: State  # Of the first explanation, at its mean
     better_lens: str
+
+    @classmethod
+    def of(cls, mixture: Mixture, better_lens: str) -> _Answer:
+        """Return a mixture, and the state at its mean: rotations and own fields follow."""
+        first = mixture.first
+        largest = first.largest.solution
+        q = largest.equations
+        step = first.mean - q.state.b
+        local = largest.local - largest.follow @ (step - largest.step)
+        state = q.state.moved(step, local[:, : q.own_size], q.turns(local))
+        return cls(mixture, followed(state, largest), better_lens)
 
     @property
     def posterior(self) -> Posterior:
@@ -92,46 +106,45 @@ def calibrate_jointly(
     begin()
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
-    answer, stated_by = _answer(kept, options), options
+    answer, stated_by = _Answer.of(*explanations(kept, options)), options
     shifted = _shifted_ids(answer, kept, options)
     gimbal = _gimbal(answer, options)
+    if gimbal is not None:
+        doubted = without_bound(answer.mixture, kept, options, shifted.worth)
+        if doubted is not answer.mixture:
+            answer = _Answer.of(doubted, answer.better_lens)
+            shifted = _shifted_ids(answer, kept, options)
+            gimbal = _gimbal(answer, options)
     if gimbal is not None and not gimbal.entered:
         options = replace(options, gimbal=None)
-        answer = _answer(kept, options)
-        shifted = shifted or _shifted_ids(answer, kept, options)
+        answer = _Answer.of(*explanations(kept, options))
+        shifted = shifted if shifted.words else _shifted_ids(answer, kept, options)
     known = options.passport is not None
-    doubt = lens_note(answer.better_lens) or shifted  # a lens of another family looks like shifted ids, too
-    require_own_certificate(answer.mixture, shifted)
+    doubt = (
+        lens_note(answer.better_lens) or shifted.words
+    )  # a lens of another family looks like shifted ids, too
+    require_own_certificate(answer.mixture, shifted.words)
     require_determined(answer.mixture, kept, answer.parameters(), known=known, doubt=doubt)
+    focus = None if shifted.words else unsteady_focus(answer.posterior, kept)
+    answer = replace(answer, mixture=replace(answer.mixture, unsteady=spread_of(focus)))
     result = _calibration(answer, views, used, gimbal)
-    causes = () if shifted else find_causes(result, answer.mixture, kept, stated_by)
+    causes = () if shifted.words else find_causes(result, answer.posterior, focus, stated_by)
     result = replace(result, causes=causes)
-    other = "" if shifted else find_other_origins(answer.posterior.optimum, kept)
-    wrongs = filter(None, (shifted, other))
+    other = "" if shifted.words else find_other_origins(answer.posterior.optimum, kept)
+    wrongs = filter(None, (shifted.words, other))
     return replace(result, notes=(*wrongs, *notes(result, answer.mixture, answer.better_lens)))
 
 
-def _shifted_ids(answer: _Answer, views: Sequence[View], options: CalibrationOptions) -> str:
-    """Return a sentence on the views whose ids are shifted; empty if there are none."""
+def _shifted_ids(answer: _Answer, views: Sequence[View], options: CalibrationOptions) -> ShiftedIds:
+    """Return the views whose ids are shifted, if the pupil is moved as the first explanation has it."""
     optimum = answer.posterior.optimum
     problem = optimum.solution.problem
+    same = options if problem.moved.pupil is Pupil.HELD else unbounded(options)
 
     def again(moved: Sequence[View]) -> Optimum:
-        return adjusted(moved, options, problem.moved.pupil, problem.camera.lens)[0].optimum
+        return adjusted(moved, same, problem.moved.pupil, problem.camera.lens)[0].optimum
 
-    return find_shifted_ids(optimum, views, options.max_iterations, again).words
-
-
-def _answer(views: Sequence[View], options: CalibrationOptions) -> _Answer:
-    """Return the mixture of all explanations, and the state at its mean: rotations and own fields follow."""
-    mixture, better_lens = explanations(views, options)
-    first = mixture.first
-    largest = first.largest.solution
-    q = largest.equations
-    step = first.mean - q.state.b
-    local = largest.local - largest.follow @ (step - largest.step)
-    state = q.state.moved(step, local[:, : q.own_size], q.turns(local))
-    return _Answer(mixture, followed(state, largest), better_lens)
+    return find_shifted_ids(optimum, views, options.max_iterations, again)
 
 
 def _calibration(
@@ -150,6 +163,8 @@ def _calibration(
     for part in mixture.parts:
         for name, probability in fault_probabilities(part.posterior).items():
             faults[name] = faults.get(name, 0.0) + part.share * probability
+    if mixture.no_bound:
+        faults[PARALLAX] = max(faults.get(PARALLAX, 0.0), mixture.no_bound)
     return Calibration(
         model="joint",
         camera=result.camera,

@@ -8,7 +8,7 @@ the gradient of each family is 2 (number - sum of (b^2 + V) / variance).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,8 @@ from .problem import Problem
 #: Other 1-sigmas of some shared unknowns, by their places: a hypothesis.
 Wide = Mapping[int, float]
 AS_STATED: Wide = {}
+#: An update that makes a determinant smaller by more than the exponential of this loses digits.
+_FEW_DIGITS = -16.0
 #: Damping of places of the pupil, in units of what is known of them.
 _PLACES = 1e-2
 
@@ -116,10 +118,14 @@ class Solution:
     def own_variances(self) -> Array:
         """(n, F) posterior variances of the own coefficients."""
         f = self.equations.own_size
-        follow = self.follow[:, :f]
-        return np.asarray(
-            np.einsum("nff->nf", self.own[:, :f, :f]) + ((follow @ self.covariance) * follow).sum(axis=2)
-        )
+        spread = np.einsum("nfs,nfs->nf", self.with_shared, self.follow[:, :f])
+        return np.asarray(np.einsum("nff->nf", self.own[:, :f, :f]) + spread)
+
+    @cached_property
+    def with_shared(self) -> Array:
+        """(n, F, S) covariance of the own coefficients, as they fall, with the shared unknowns."""
+        follow = self.follow[:, : self.equations.own_size]
+        return np.asarray((follow.reshape(-1, follow.shape[2]) @ self.covariance).reshape(follow.shape))
 
     @cached_property
     def _slopes(self) -> tuple[Array, Array]:
@@ -159,6 +165,49 @@ class Solution:
             spread = self.own[pose, slot, slot] + slope @ self.covariance @ slope.T
             total += float(weights[v] * np.trace(spread))
         return total
+
+    def pulled(self, rows: Array) -> tuple[Array, Array, Array]:
+        """Return how all unknowns vary with quantities of (p, S) gradients.
+
+        (S, p) the shared ones, (n, L, p) those of the poses, and (m, 3, p) rotations from the readings' predictions.
+        """
+        q, p = self.equations, self.problem
+        shared = self.covariance @ rows.T
+        local = -self.follow @ shared
+        if p.readings is None:
+            return shared, local, np.zeros((0, 3, len(rows)))
+        turned = np.array([local[pose, slot] for pose, slot in zip(p.poses, q.slots, strict=True)])
+        return shared, local, turned - q.by_gimbal @ shared[p.readings.at]
+
+    def by_amplitudes(self, rows: Array) -> tuple[Array, Array]:
+        """Return how quantities with (p, S) gradients follow the logarithms of the amplitudes.
+
+        (p, A) the change of their means over their 1-sigma, and that of the logarithms of these. An amplitude loosens
+        what is known of its unknowns. If all become larger together, stars too, no mean changes, and each 1-sigma does
+        in proportion.
+        """
+        p, prior = self.problem, self.prior
+        shared, local, turned = self.pulled(rows)
+        local = local[:, : self.equations.own_size]
+        variances = np.einsum("ps,sp->p", rows, shared)
+        loose, own = prior.shared[:, None] * shared, prior.own[:, None] * local
+        of_shared = np.array([self._b[:, None] * loose, shared * loose])
+        of_own = np.array([(self._f[:, :, None] * own).sum(axis=0), (local * own).sum(axis=0)])
+        slopes, has = np.zeros((2, len(self.eta), len(rows))), p.at >= 0
+        for slope, of_all, of_poses in zip(slopes, of_shared, of_own, strict=True):
+            np.add.at(slope, p.at[has], of_all[has])
+            np.add.at(slope, p.own_at, of_poses)
+        rest = np.array([np.zeros_like(variances), variances]) - of_shared.sum(axis=1) - of_own.sum(axis=1)
+        if p.readings is not None:
+            weighed = reading_weights(self.equations, prior)[:, None, None] * turned
+            of_readings = [
+                (self.turned[:, :, None] * weighed).sum(axis=(0, 1)),
+                (turned * weighed).sum(axis=(0, 1)),
+            ]
+            slopes[:, p.reading] = of_readings
+            rest -= of_readings
+        slopes[:, p.star] = rest
+        return (2.0 * slopes[0] / np.sqrt(variances)).T, (slopes[1] / variances).T
 
     @property
     def gradient(self) -> Array:
@@ -219,13 +268,44 @@ def solve(equations: Equations, eta: Array, wide: Wide = AS_STATED, damping: flo
     rl[:, :f] -= state.own * prior.own
     if p.readings is not None:
         _add_readings(equations, prior, (h, rs), (c, d, rl))
-    own = np.asarray(np.linalg.inv(d), np.float64)
+    lower = np.linalg.cholesky(d)
+    root = np.asarray(np.linalg.inv(lower), np.float64)
+    own, seen = np.swapaxes(root, 1, 2) @ root, (root @ c).reshape(-1, len(h))
     follow = own @ c
-    covariance, shared_logarithm = _inverse(h - c.reshape(-1, len(h)).T @ follow.reshape(-1, len(h)))
-    step = covariance @ (rs - np.einsum("nls,nl->s", follow, rl))
+    covariance, shared_logarithm = _inverse(h - seen.T @ seen)
+    step = covariance @ (rs - rl.reshape(-1) @ follow.reshape(-1, len(h)))
     local = (own @ rl[:, :, None])[:, :, 0] - follow @ step
-    logarithm = shared_logarithm + float(np.linalg.slogdet(d)[1].sum())
+    logarithm = shared_logarithm + 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
     return Solution(equations, eta, wide, prior, covariance, logarithm, own, follow, step, local)
+
+
+def otherwise(first: Solution, wide: Wide) -> Solution:
+    """Return the posterior with other 1-sigmas of some shared unknowns, all else the same.
+
+    It differs by a matrix of low rank (Golub and Van Loan, 2013, 2.1.4); is solved where that would lose its digits.
+    """
+    prior = replace(first.prior, shared=1.0 / first.problem.variances(first.eta, dict(wide)))
+    more = prior.shared - first.prior.shared
+    at = np.flatnonzero(more)
+    more, known = more[at], first.covariance[:, at]
+    away = (first.problem.unknowns.mean - first.equations.state.b)[at]
+    inner = np.eye(len(at)) + more[:, None] * known[at]
+    sign, logarithm = np.linalg.slogdet(inner)
+    if sign <= 0.0 or logarithm < _FEW_DIGITS:
+        return solve(first.equations, first.eta, wide)
+    taken = np.linalg.solve(inner, more[:, None] * np.column_stack([known.T, first.step[at]]))
+    covariance = first.covariance - known @ taken[:, :-1]
+    step = first.step - known @ taken[:, -1] - covariance[:, at] @ (more * -away)
+    return replace(
+        first,
+        wide=wide,
+        prior=prior,
+        covariance=covariance,
+        root_logarithm=first.root_logarithm + float(logarithm),
+        step=step,
+        local=first.local - first.follow @ (step - first.step),
+        _parts={},
+    )
 
 
 def _add_readings(
@@ -235,13 +315,13 @@ def _add_readings(
     readings = q.problem.readings
     assert readings is not None
     (h, rs), (c, d, rl), at = shared, of_poses, readings.at
-    for v, (weight, pose, slot) in enumerate(
-        zip(reading_weights(q, prior), q.problem.poses, q.slots, strict=True)
-    ):
-        by, off = q.by_gimbal[v], q.off[v]
-        h[np.ix_(at, at)] += weight * by.T @ by
-        rs[at] += weight * by.T @ off
-        c[pose][slot, at] -= weight * by
+    weights = reading_weights(q, prior)
+    weighed = weights[:, None, None] * q.by_gimbal
+    h[np.ix_(at, at)] += np.tensordot(weighed, q.by_gimbal, ((0, 1), (0, 1)))
+    rs[at] += np.tensordot(weighed, q.off, ((0, 1), (0, 1)))
+    for v, (weight, pose, slot) in enumerate(zip(weights, q.problem.poses, q.slots, strict=True)):
+        off = q.off[v]
+        c[pose][slot, at] -= weighed[v]
         d[pose, slot, slot] += weight * np.eye(3)
         rl[pose, slot] -= weight * off
 
@@ -273,15 +353,14 @@ def expected_curvature(solution: Solution) -> Array:
     own_member[range(len(p.own_at)), p.own_at] = 1.0
     scale, own_scale, f = np.sqrt(prior.shared), np.sqrt(prior.own), len(prior.own)
     seen = np.eye(len(scale)) - scale[:, None] * solution.covariance * scale
-    curvature = 4.0 * member.T @ seen**2 @ member
-    for pose in range(p.n):
-        follow = solution.follow[pose, :f]
-        between = own_scale[:, None] * (follow @ solution.covariance) * scale
-        alone = solution.own[pose, :f, :f] + follow @ solution.covariance @ follow.T
-        own = np.eye(f) - own_scale[:, None] * alone * own_scale
-        curvature += 4.0 * own_member.T @ own**2 @ own_member
-        across = 4.0 * own_member.T @ between**2 @ member
-        curvature += across + across.T
+    between = own_scale[:, None] * solution.with_shared * scale
+    follow = np.swapaxes(solution.follow[:, :f], 1, 2)
+    alone = (
+        np.eye(f) - own_scale[:, None] * (solution.own[:, :f, :f] + solution.with_shared @ follow) * own_scale
+    )
+    across = own_member.T @ (between**2).sum(axis=0) @ member
+    of_own = own_member.T @ (alone**2).sum(axis=0) @ own_member
+    curvature = 4.0 * (member.T @ seen**2 @ member + of_own + across + across.T)
     noises = [p.star] if p.readings is None else [p.star, p.reading]
     own_curvature = 2.0 / solution.scale**2 - 2.0 * np.diag(p.expected.information)
     curvature[noises, noises] += own_curvature[noises]

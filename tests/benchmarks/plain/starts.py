@@ -38,6 +38,8 @@ _FEW = 40
 #: A start counts if its misfit is within this factor of the best one's, and is another one if its foot is so far away,
 #: over r. Glass may distort by so much: a single lens has up to 1.4.
 _AS_WELL, _ELSEWHERE, _GLASS = 1.5, 0.02, (1.0, -1.0)
+#: A certificate is another collimator's if a free length differs so much, as a share, and fits better by that factor.
+_OTHER_RADIUS = 0.1
 #: Rounds of a bundle: in each, errors of the start count less.
 _ROUNDS, _STEPS, _ENOUGH = 3, 12, 1e-3
 _SHARED = 9  # Its shared unknowns: log f, cx, cy, k1, k2, x, y, log r, glass
@@ -75,6 +77,11 @@ def first_starts(views: Sequence[View], lens: tuple[str, ...], known: Known) -> 
     if known.passport is None:
         ends += [(_bundle(few, replace(best, glass=glass), lens, known), best) for glass in _GLASS]
     ordered = sorted((end for end, _ in ends), key=lambda end: end[0])
+    if known.certificate is not None:
+        free, start = _bundle(few, ordered[0][1], lens, replace(known, certificate=None))
+        away = abs(float(np.log(start.centre[2] / known.certificate.r_mm)))
+        if away > _OTHER_RADIUS and free * _AS_WELL < ordered[0][0]:
+            return [replace(start, another=True)]
     chosen: list[Start] = []
     for misfit, start in ordered:
         x, y, r = start.centre
@@ -154,7 +161,9 @@ class _Bundle:
         self.px = np.concatenate([view.points_px for view in views])
         covariances = np.concatenate([view.covariances_px2 for view in views])
         self.sigma = np.linalg.det(covariances) ** 0.25
-        self.of_views: Ints = np.repeat(np.arange(len(views)), [len(view) for view in views])
+        counts = [len(view) for view in views]
+        self.of_views: Ints = np.repeat(np.arange(len(views)), counts)
+        self.ends = 2 * np.cumsum(counts)[:-1]  # Of their rows
         corner = self.camera.corner
         lens_sizes = (_LENS * corner**-2, _LENS * corner**-4)
         self.scale = np.array([_HALF_OCTAVE, _MIDDLE, _MIDDLE, *lens_sizes, _TENTH, _TENTH, _TENTH, 1.0])
@@ -213,33 +222,28 @@ class _Bundle:
         """Return how far the length is from a stated one, in sigmas."""
         return 0.0 if self.r_mm is None else float(np.log(self.centre_of(u)[1] / self.r_mm) / self.r_sigma)
 
-    def step(self, u: Array, rotations: Array, level: float, damping: float) -> tuple[Array, Array, float]:
-        """Return a damped step of the shared unknowns and of the rotations, and the cost before it."""
-        off, shared, turns = self.linearised(u, rotations)
+    def step(
+        self, u: Array, linearised: tuple[Array, Array, Array], level: float, damping: float
+    ) -> tuple[Array, Array]:
+        """Return a damped step of the shared unknowns and of the rotations."""
+        off, shared, turns = linearised
         root = (1.0 + (off / level) ** 2) ** -0.25 / level
-        left, shared, turns = off * root, shared * root[:, :, None], turns * root[:, :, None]
-        m, across = len(rotations), np.swapaxes(turns, 1, 2)
-
-        def summed(values: Array) -> Array:
-            whole = np.zeros((m, *values.shape[1:]))
-            np.add.at(whole, self.of_views, values)
-            return whole
-
-        alone = summed(across @ turns)
-        alone *= 1.0 + damping * np.eye(3)
-        between, right = summed(across @ shared), summed((across @ left[:, :, None])[:, :, 0])
-        h = np.einsum("nai,naj->ij", shared, shared, optimize=True) + np.diag([1.0] * 5 + [0.0] * 4)
-        rhs = np.einsum("nai,na->i", shared, left, optimize=True) - np.concatenate([u[:5], np.zeros(4)])
+        columns = np.concatenate([turns, shared, off[:, :, None]], axis=2) * root[:, :, None]
+        of_views = np.array([rows.T @ rows for rows in np.split(columns.reshape(-1, 4 + _SHARED), self.ends)])
+        alone = of_views[:, :3, :3] * (1.0 + damping * np.eye(3))
+        between, whole = of_views[:, :3, 3:], of_views[:, 3:, 3:].sum(axis=0)
+        h, rhs = whole[:-1, :-1], whole[:-1, -1]
+        h[range(5), range(5)] += 1.0
+        rhs[:5] -= u[:5]
         if self.r_mm is not None:
             slope = _TENTH / self.r_sigma
             h[7, 7] += slope**2
             rhs[7] -= slope * self.away(u)
         h *= 1.0 + damping * np.eye(_SHARED)
-        follow = np.linalg.solve(alone, np.concatenate([between, right[:, :, None]], axis=2))
-        h -= np.einsum("mai,maj->ij", between, follow[:, :, :-1], optimize=True)
-        rhs -= np.einsum("mai,ma->i", between, follow[:, :, -1], optimize=True)
+        follow = np.linalg.solve(alone, between)
+        whole -= np.tensordot(between, follow, ((0, 1), (0, 1)))
         step = np.linalg.lstsq(h, rhs, rcond=1e-12)[0]
-        return step, follow[:, :, -1] - follow[:, :, :-1] @ step, self.cost(u, off, level)
+        return step, follow[:, :, -1] - follow[:, :, :-1] @ step
 
 
 def _bundle(views: Sequence[View], begin: Start, lens: tuple[str, ...], known: Known) -> tuple[float, Start]:
@@ -247,26 +251,28 @@ def _bundle(views: Sequence[View], begin: Start, lens: tuple[str, ...], known: K
     bundle = _Bundle(views, begin, lens, known)
     u, rotations = np.zeros(_SHARED), begin.rotations
     u[8] = begin.glass
-    off = bundle.linearised(u, rotations)[0]
+    here = bundle.linearised(u, rotations)
     for _ in range(_ROUNDS):
-        level, damping = bundle.misfit(off), _ENOUGH
+        level, damping = bundle.misfit(here[0]), _ENOUGH
+        before = bundle.cost(u, here[0], level)
         for _ in range(_STEPS):
             try:
-                step, turns, before = bundle.step(u, rotations, level, damping)
+                step, turns = bundle.step(u, here, level, damping)
             except np.linalg.LinAlgError:
                 break
             there, turned = u + step, exp_map(turns) @ rotations
-            off_there = bundle.linearised(there, turned)[0]
-            after = bundle.cost(there, off_there, level)
+            linearised = bundle.linearised(there, turned)
+            after = bundle.cost(there, linearised[0], level)
             if not after < before:
                 damping *= 10.0
                 continue
-            u, rotations, off, damping = there, turned, off_there, max(0.1 * damping, 1e-9)
+            u, rotations, here, damping = there, turned, linearised, max(0.1 * damping, 1e-9)
             if before - after < _ENOUGH * before:
                 break
+            before = after
     foot, r = bundle.centre_of(u)
     c = bundle.camera_of(u)
     f = begin.f_px * float(np.exp(c[0]))
     c[2:4] *= np.exp(-c[0])
     c[0] = 0.0
-    return bundle.misfit(off), Start(f, (float(foot[0]), float(foot[1]), r), rotations, c, float(u[8]))
+    return bundle.misfit(here[0]), Start(f, (float(foot[0]), float(foot[1]), r), rotations, c, float(u[8]))

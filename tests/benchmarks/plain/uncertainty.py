@@ -33,15 +33,12 @@ def expanded(weights: Array, means: Array, sigmas: Array) -> float:
 
 def _tail(weights: Array, means: Array, sigmas: Array) -> float:
     """Return the mean of what lies beyond the upper quantile."""
+    from scipy.special import ndtr  # here: it is slow to import
+
     low, high = float((means - _FARTHEST * sigmas).min()), float((means + _FARTHEST * sigmas).max())
     for _ in range(_HALVINGS):
         at = 0.5 * (low + high)
-        low, high = (at, high) if float(weights @ _beyond(at, means, sigmas)) > 0.5 * _TAILS else (low, at)
-    z = (at - means) / sigmas
-    density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
-    return float(weights @ (means * _beyond(at, means, sigmas) + sigmas * density)) / (0.5 * _TAILS)
-
-
-def _beyond(at: float, means: Array, sigmas: Array) -> Array:
-    """Return (K,) the shares of the Gaussians above a number."""
-    return np.array([_NORMAL.cdf(z) for z in ((means - at) / sigmas).tolist()])
+        beyond = ndtr((means - at) / sigmas)
+        low, high = (at, high) if float(weights @ beyond) > 0.5 * _TAILS else (low, at)
+    density = np.exp(-0.5 * ((at - means) / sigmas) ** 2) / np.sqrt(2.0 * np.pi)
+    return float(weights @ (means * beyond + sigmas * density)) / (0.5 * _TAILS)

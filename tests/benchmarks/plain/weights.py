@@ -41,6 +41,7 @@ class Weights:
     rim_px: float  # Noise at the rim, times rho^12
     edge_px: float  # The same, times rho^24
     of_views: Array  # (m,) how precise the stars of each view are, over all views'
+    shares: Array  # (m,) how much of each view is new: less than 1 for repeats of a pose
 
     @property
     def whole(self) -> list[Array]:
@@ -49,8 +50,10 @@ class Weights:
 
     @property
     def observed(self) -> float:
-        """Number of star coordinates, each with its robust weight."""
-        return 2.0 * sum(float(robust.sum()) for robust in self.robust)
+        """Number of star coordinates, each with its robust weight; the rotation of a repeat is as little new."""
+        return 2.0 * sum(float(robust.sum()) for robust in self.robust) + 3.0 * float(
+            (1.0 - self.shares).sum()
+        )
 
     @property
     def logarithm(self) -> float:
@@ -96,7 +99,7 @@ def weights(problem: Problem, residuals: Sequence[Array], limit: float) -> Weigh
     roots = [np.sqrt(own * times) for own, times in zip(robust, precision, strict=True)]
     shares = _shares(problem, residuals, roots)
     robust = [own * share for own, share in zip(robust, shares.tolist(), strict=True)]
-    return Weights(robust, precision, rim_px, edge_px, of_views)
+    return Weights(robust, precision, rim_px, edge_px, of_views, shares)
 
 
 def _shares(problem: Problem, residuals: Sequence[Array], roots: Sequence[Array]) -> Array:

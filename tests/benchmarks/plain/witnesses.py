@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import Array
+from calib.model.cause import LARGEST_EVIDENCE, PARALLAX
 from calib.model.result_parts import Witness
 
 from . import amplitudes as amp
-from .hypotheses import FOCAL
+from .effects import BOUNDED
+from .hypotheses import FOCAL, WRONG
 from .knowledge import CHANGED_FIELD, READINGS
 from .posterior import Posterior
 from .solution import Solution
@@ -59,13 +62,24 @@ def fault_probabilities(posterior: Posterior) -> dict[str, float]:
     return faults
 
 
+def two_log_odds(against: float) -> float:
+    """Return 2 log of the odds for what has a probability against it."""
+    return min(2.0 * (math.log1p(-min(against, 0.999)) - math.log(max(against, 1e-30))), LARGEST_EVIDENCE)
+
+
 def witnesses(posterior: Posterior, faults: dict[str, float]) -> tuple[Witness, ...]:
     """Return the statements against what all others say, with the probabilities of their faults."""
     problem, solution, found = posterior.problem, posterior.largest.solution, list[Witness]()
+    # As if nobody had stated it, with the sizes of the errors that the views show then: with it, they take it up.
+    alone = {
+        component.hypothesis.faults[0][0]: component.solution
+        for component in reversed(posterior.components)  # the mode comes before its samples
+        if len(component.hypothesis.faults) == 1 and component.hypothesis.faults[0][1] == WRONG
+    }
     for statement in problem.unknowns.statements:
         if not (statement.free > 0.0).all():
             continue
-        one = innovation(solution, statement)
+        one = innovation(alone.get(statement.name, solution), statement)
         numbers: tuple[float | None, ...] = (None, None, None, None)
         if len(statement.at) == 1:
             scale, value = statement.per_unknown, statement.stated
@@ -86,11 +100,20 @@ def witnesses(posterior: Posterior, faults: dict[str, float]) -> tuple[Witness, 
                 probability,
             )
         )
+    if PARALLAX in faults and all(witness.name != PARALLAX for witness in found):
+        found.append(_denied(faults[PARALLAX]))
     if problem.readings is not None:
         found.append(_size(posterior, READINGS, "station: reading_sigma_deg", amp.READING))
     if amp.CHANGE in problem.expected.names:
         found.append(_size(posterior, CHANGED_FIELD, "expected of another pupil", amp.CHANGE))
     return tuple(found)
+
+
+def _denied(probability: float) -> Witness:
+    """Return the witness of a bound of the parallax that the first explanation does without."""
+    odds = probability / max(1.0 - probability, 1e-30)
+    z = float(np.sqrt(max(2.0 * np.log(odds), 0.0)))
+    return Witness(PARALLAX, BOUNDED.source, "1", None, None, None, None, z, probability)
 
 
 def _size(posterior: Posterior, name: str, source: str, amplitude: str) -> Witness:

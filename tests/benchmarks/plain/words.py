@@ -15,19 +15,23 @@ from calib.adjustment.parameters import (
 from calib.calibration import Calibration
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model import result_parts as rows
-from calib.model.cause import PARALLAX, cause_sentence
+from calib.model.cause import PARALLAX, cause_sentence, probability
 from calib.model.gimbal import MOUNTING
 from calib.model.result_parts import Witness
 from calib.model.rotation import exp_map
 from calib.view import View
 
-from .hypotheses import FOCAL, WRONG
+from .hypotheses import FOCAL
 from .knowledge import CERTIFICATE, READINGS
+from .mixture import Mixture, quantities
 from .posterior import Posterior
-from .results import Mixture
+from .witnesses import fault_probabilities
 
 #: A statement is named if it is doubted with this probability. An honest one is named at 2.8 sigma.
 DOUBTED = 0.2
+#: A certificate is named if it is so many sigma from what the stars say alone, however probable its fault is: errors of
+#: the glass that are larger than expected could explain it.
+_FAR_AWAY = 4.0
 #: Readings that scatter this many times more than stated are looked at.
 SCATTER = 2.0
 #: A certificate is refused if it is wrong with this probability, and differs by the second number, as a share.
@@ -35,7 +39,7 @@ _SURELY, _OTHER_RADIUS = 0.99, 0.1
 #: A focal length is poorly known from this share on, by its U.
 _WEAK_FOCAL = 0.02
 #: Which length a certificate states is open if the less probable one has this share: beyond it, U depends on both.
-_OPEN = 0.1
+_OPEN, _MORE_PROBABLE = 0.1, 0.5
 #: If these have this share of the variance of fx, it rests on how large errors are expected. With a certificate it is
 #: below 0.22 in 41 of 42 drawn benches.
 _EXPECTED = rows.UNBOUNDED_PARALLAX, rows.TURN_FIELDS, rows.LENS, rows.AMPLITUDES
@@ -48,6 +52,11 @@ _BACKWARDS = (
 )
 _TOGETHER = (
     "These statements contradict each other or the stars. What cannot be decided is in the uncertainties."
+)
+_DENIED = (
+    "The bound on the place of the entrance pupil is probably wrong: the rim of the beam and the stars contradict "
+    "it. It has little weight in this result. Measure how far the pupil is in front of the pivot, or leave the "
+    "bound out of the station."
 )
 _BINDS = {
     "r": "a certificate of the collimator, readings of the gimbal, or poses turned farther",
@@ -97,7 +106,7 @@ def require_own_certificate(mixture: Mixture, doubt: str) -> None:
     """Refuse a certificate of another collimator: the views alone show a radius that is far from it."""
     posterior = mixture.first
     stated = next((s for s in posterior.problem.unknowns.statements if s.name == CERTIFICATE), None)
-    wrong = sum(p for hypothesis, p in posterior.odds.items() if (CERTIFICATE, WRONG) in hypothesis.faults)
+    wrong = fault_probabilities(posterior).get(CERTIFICATE, 0.0)
     if stated is None or wrong < _SURELY:
         return
     r_mm = float(mixture.mean[mixture.places(("r",))[0]])
@@ -133,16 +142,22 @@ def notes(result: Calibration, mixture: Mixture, better_lens: str = "") -> tuple
     named = [
         witness
         for witness in result.witnesses
-        if witness.name not in {READINGS, *explained} and witness.fault_probability >= DOUBTED
+        if witness.name not in {READINGS, *explained}
+        and (witness.fault_probability >= DOUBTED or (witness.name == CERTIFICATE and _is_far(witness)))
     ]
     named.sort(key=lambda witness: (-witness.fault_probability, -abs(witness.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
     sentences = [*map(cause_sentence, result.causes), lens_note(better_lens) or _weakness(result, mixture)]
-    sentences += [*map(_doubt, named), together]
+    sentences += [*map(_doubt, named), together, _DENIED if mixture.no_bound > _MORE_PROBABLE else ""]
     if READINGS not in explained:
         sentences += [_readings(result), _contradiction(result)]
-    sentences += [_length(mixture.first), _expected(result, mixture.first)]
+    sentences += [_length(mixture.first), _cameras(mixture), _expected(result, mixture.first)]
     return tuple(filter(None, sentences))
+
+
+def _is_far(witness: Witness) -> bool:
+    """Return whether a statement is far from what all others say, though larger errors of the glass may explain it."""
+    return abs(witness.innovation) > _FAR_AWAY
 
 
 def lens_note(better: str) -> str:
@@ -159,17 +174,13 @@ def _doubt(witness: Witness) -> str:
     """Return the sentence that names a statement."""
     source = "" if witness.source == witness.name else f" ({witness.source})"
     what = f"The statement '{witness.name}'{source}"
-    probability = (
-        f"it is wrong, or its uncertainty too small, with probability {witness.fault_probability:.0%}"
-    )
+    wrong = f"it is wrong, or its uncertainty too small, with probability {probability(witness.fault_probability)}"
     if witness.stated is None:
-        return (
-            f"{what} differs by {abs(witness.innovation):.1f} sigma from what all others say; {probability}."
-        )
+        return f"{what} differs by {abs(witness.innovation):.1f} sigma from what all others say; {wrong}."
     unit = f" {witness.unit}" if witness.unit not in ("", "1") else ""
     return (
         f"{what} says {witness.stated:.6g} +- {witness.sigma:.2g}{unit}; all others say {witness.expected:.6g} +- "
-        f"{witness.expected_sigma:.2g}{unit}, {abs(witness.innovation):.1f} sigma away; {probability}."
+        f"{witness.expected_sigma:.2g}{unit}, {abs(witness.innovation):.1f} sigma away; {wrong}."
     )
 
 
@@ -182,6 +193,23 @@ def _length(posterior: Posterior) -> str:
         "The certificate of the collimator does not say which length it states. By what the views show, it is the "
         f"focal length with a probability of {share:.0%}, and else the length that this camera sees. The uncertainties "
         "cover both. State which one it is (length: focal_length or seen)."
+    )
+
+
+def _cameras(mixture: Mixture) -> str:
+    """Return a note if searches ended at different cameras that explain the views about as well."""
+    at = mixture.names.index("fx")
+    fx = [(part.share, part.posterior) for part in mixture.parts if part.row in ("", rows.AMPLITUDES)]
+    if len(fx) == 1 or max(share for share, _ in fx[1:]) < _OPEN:
+        return ""
+    values = [quantities(one.problem, one.mean).values[at] for _, one in fx]
+    cameras = ", or ".join(
+        f"fx is {value:.5g} px with a probability of {probability(share)}"
+        for value, (share, _) in zip(values, fx, strict=True)
+    )
+    return (
+        f"Two searches ended at different cameras that explain these views: {cameras}. The uncertainties cover both. "
+        "A certificate of the collimator, readings of the gimbal, or poses turned farther would decide."
     )
 
 

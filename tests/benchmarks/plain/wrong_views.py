@@ -22,7 +22,7 @@ from calib.model.local_consistency import local_spacing
 from calib.progress import expect
 from calib.view import View
 
-from .added import AddedColumns, displaced
+from .added_columns import AddedColumns, displaced
 from .evidence import value_as_weighed
 from .search import Optimum, best_amplitudes, search
 from .solution import solve

@@ -33,6 +33,10 @@ class Quantities:
     values: Array  # (Q,)
     rows: Array  # (Q, S)
 
+    def covariance(self, of_unknowns: Array) -> Array:
+        """Return (Q, Q) their covariance, by the (S, S) of the unknowns."""
+        return np.asarray(self.rows @ of_unknowns @ self.rows.T)
+
 
 def names_of(problem: Problem) -> tuple[str, ...]:
     """Return the names of the quantities: those of the camera with the term of r^8, the centre, errors of the glass."""
@@ -51,7 +55,7 @@ def quantities(problem: Problem, b: Array) -> Quantities:
     reference = dict(zip(CENTRE[:2], fields.reference, strict=False))
     for k, name in enumerate(names[count:], start=count):
         if name == "r":
-            values[k] = fields.r0 * np.exp(unknowns.log_r @ b)
+            values[k] = fields.r0 * np.exp(unknowns.results["log r"] @ b)
             rows[k] = values[k] * unknowns.results["log r"]
         else:
             rows[k] = unknowns.results[name]
@@ -73,6 +77,14 @@ class Mixture:
     """Quantities over all explanations; the first one is the most probable."""
 
     parts: tuple[Part, ...]
+    no_bound: float = 0.0  # Probability that the bound of the parallax is wrong: a hand moves the camera
+    unsteady: float = 0.0  # 1-sigma of the focal length from pose to pose, as a share
+
+    @cached_property
+    def changing(self) -> Array:
+        """(Q,) what 1-sigma of a focal length that is not steady does."""
+        focal = np.isin(self.names, ("fx", "fy"))
+        return np.asarray(np.where(focal, self.unsteady * self.mean, 0.0))
 
     @property
     def first(self) -> Posterior:
@@ -84,23 +96,29 @@ class Mixture:
         """Its problem."""
         return self.first.problem
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
-        """Names of the Q quantities that all explanations have."""
-        others = [set(names_of(part.posterior.problem)) for part in self.parts[1:]]
-        return tuple(name for name in names_of(self.problem) if all(name in other for other in others))
+        """Names of the Q quantities of the first explanation."""
+        return names_of(self.problem)
 
     @cached_property
     def members(self) -> list[tuple[float, Component, Quantities, int]]:
-        """Each component with its weight, its quantities, and the number of its explanation."""
-        members = []
+        """Each component with its weight, its quantities, and the number of its explanation.
+
+        Coefficients that another family of lenses has not are those of the first explanation.
+        """
+        first, members = self.first, []
+        usual = quantities(first.problem, first.mean)
         for number, part in enumerate(self.parts):
             posterior, problem = part.posterior, part.posterior.problem
-            at = [names_of(problem).index(name) for name in self.names]
+            place = {name: k for k, name in enumerate(names_of(problem))}
+            has = np.array([name in place for name in self.names])
+            at = [place[name] for name in self.names if name in place]
             for weight, component in zip(posterior.weights.tolist(), posterior.components, strict=True):
                 there = quantities(problem, component.solution.mean)
-                own = Quantities(there.values[at], there.rows[at])
-                members.append((part.share * weight, component, own, number))
+                values, rows = usual.values.copy(), np.zeros((len(has), there.rows.shape[1]))
+                values[has], rows[has] = there.values[at], there.rows[at]
+                members.append((part.share * weight, component, Quantities(values, rows), number))
         return members
 
     @cached_property
@@ -111,19 +129,24 @@ class Mixture:
     @cached_property
     def covariance(self) -> Array:
         """(Q, Q) covariance."""
-        whole = np.zeros((len(self.names), len(self.names)))
-        for weight, component, own, _ in self.members:
-            away = own.values - self.mean
-            whole += weight * (own.rows @ component.solution.covariance @ own.rows.T + np.outer(away, away))
-        return whole
+        weights, means, within = self._gaussians
+        away = means - self.mean
+        changing = np.outer(self.changing, self.changing)
+        return np.asarray(np.tensordot(weights, within, 1) + (weights[:, None] * away).T @ away + changing)
+
+    @cached_property
+    def _gaussians(self) -> tuple[Array, Array, Array]:
+        """(K,) weights, (K, Q) means and (K, Q, Q) covariances of the components."""
+        weights = np.array([weight for weight, _, _, _ in self.members])
+        means = np.array([own.values for _, _, own, _ in self.members])
+        within = [own.covariance(component.solution.covariance) for _, component, own, _ in self.members]
+        return weights, means, np.array(within)
 
     def expanded(self, row: Array) -> float:
         """Return the expanded uncertainty of the quantity with the (Q,) gradient row."""
-        members = [(own.rows.T @ row, component.solution.covariance) for _, component, own, _ in self.members]
-        variances = [slope @ covariance @ slope for slope, covariance in members]
-        means = np.array([own.values @ row for _, _, own, _ in self.members])
-        weights = np.array([weight for weight, _, _, _ in self.members])
-        return expanded(weights / weights.sum(), means, np.sqrt(np.maximum(variances, 0.0)))
+        weights, means, within = self._gaussians
+        variances = (within @ row) @ row + (row @ self.changing) ** 2
+        return expanded(weights / weights.sum(), means @ row, np.sqrt(np.maximum(variances, 0.0)))
 
     def places(self, names: Sequence[str]) -> list[int]:
         """Return the places of quantities."""
@@ -134,7 +157,7 @@ class Mixture:
         """The camera, with the term of r^8."""
         values = dict(zip(self.names, self.mean.tolist(), strict=True))
         fx, fy, cx, cy = (values[name] for name in PINHOLE)
-        lens = {name: values[name] for name in self.problem.camera.lens if name in values}
+        lens = {name: values[name] for name in self.problem.camera.lens}
         return CameraModel(fx, fy, cx, cy, self.problem.camera.image_size, lens)
 
 
