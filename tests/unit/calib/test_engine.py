@@ -283,6 +283,7 @@ def test_pixels_that_are_not_square_are_named_and_the_focal_lengths_are_right(be
         assert getattr(result.camera, name) == pytest.approx(true, abs=stated)
 
 
+@pytest.mark.slow
 def test_a_true_certificate_is_not_refused_for_poses_that_only_roll(make_bench):
     """They hardly show the collimator's radius, so they do not contradict its unit."""
     rolled = make_bench(poses=((0, 0), (0, 0, 40), (0, 0, 90), (0, 0, 135)))

@@ -14,7 +14,7 @@ from tests.support.drawn_benches import NINE, THREE, draw_bench
 
 BENCHES = [
     pytest.param("ideal", THREE, {}, id="ideal", marks=pytest.mark.slow),
-    pytest.param("like-bench", THREE, {}, id="like-bench"),
+    pytest.param("like-bench", THREE, {}, id="like-bench", marks=pytest.mark.slow),
     pytest.param("S3", THREE, {}, id="moved by hand", marks=pytest.mark.slow),
     pytest.param(
         "S3", NINE, {"passport": Passport.of_radius(255.0, 0.05)}, id="certificate", marks=pytest.mark.slow

@@ -75,7 +75,7 @@ ATTACKS = [
     Attack("camera in the journal", line("devices", lambda d: d["camera"].update(serial="00050999")), "results.json", "results", DIFF),
     Attack("gates emptied in the journal", line("attempt_checked", lambda d: d.update(gates=[])), "results.json", "results", DIFF),
     Attack("verdict of a gate", line("attempt_checked", lambda d: d["gates"][1].update(verdict="fail")), "results.json", "results", DIFF),
-    Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "results.json", "results", DIFF),
+    Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "journal.jsonl", "journal", DIFF),
     Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "journal.jsonl", "journal", DIFF),
     Attack("verdict of the report", line("written", lambda d: d["verdict"].update(kind="fail")), "journal.jsonl", "journal", DIFF),
     Attack("headline of the report", line("written", lambda d: d["verdict"].update(headline="Calibrated!")), "journal.jsonl", "journal", DIFF),
@@ -93,7 +93,7 @@ ATTACKS = [
     Attack("a second begin", with_hashes(lambda f: f.chain([*f.lines[:5], f.lines[0], *f.lines[5:]])), "journal.jsonl:6", "journal"),
     # results
     Attack("results edited", edit("results.json", '"operator": "Ada"', '"operator": "Eve"'), "results.json", "results", WRITTEN),
-    Attack("focal length", result("calibration", "camera", "fx", to=1675.0), "results.json", "results", DIFF),
+    Attack("focal length", result("calibration", "camera", "fx", to=1675.0), "journal.jsonl", "journal", DIFF),
     Attack("covariance", result("calibration", "covariance", "matrix", 0, 0, to=1e-4), "results.json", "results"),
     Attack("results without the journal's recordings", result("poses", 1, "attempts", to=[]), "results.json", "results", DIFF),
     Attack("simulated -> false", result("run", "simulated", to=False), "results.json", "results", DIFF),

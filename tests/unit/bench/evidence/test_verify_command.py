@@ -156,7 +156,7 @@ def test_a_plugin_that_the_station_does_not_use_is_found(forger, trusted):
     with_a_plugin(forger)
     forger.seal()
     verification = checked(forger.folder, trusted)
-    assert "journal.jsonl:1" in {fault.where for fault in verification.faults}
+    assert "report.html" in {fault.where for fault in verification.faults}
     assert "the stage turntable was driven by a plug-in: starbench-turntable 1.0" in verification.remarks
 
 

@@ -163,6 +163,7 @@ def test_time_between_two_processes_does_not_count(tmp_path):
     assert scene.data_of(Event.UNTIL_DECIDED)[-1]["worked_s"] < 60
 
 
+@pytest.mark.slow
 def test_beside_a_coarse_certificate_poses_are_recorded_as_long_as_they_help(tmp_path):
     place = "station.collimator.certificate"
     certificate = {f"{place}.r_mm": "255", f"{place}.uncertainty_mm": "1", f"{place}.number": "C-7"}

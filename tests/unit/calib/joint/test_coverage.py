@@ -73,6 +73,7 @@ def benches():
     return [drawn(seed, ("like-bench", "ideal")[seed % 2]) for seed in range(BENCHES)]
 
 
+@pytest.mark.slow
 def test_errors_of_the_camera_lie_within_u_and_fill_it(benches):
     over = np.array([bench.errors / bench.expanded for bench in benches])
     assert (np.abs(over) < 1.6).all()

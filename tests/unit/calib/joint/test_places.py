@@ -145,6 +145,7 @@ def test_readings_beside_visible_discs_of_a_mount_moved_by_hand_give_a_covarianc
     assert np.linalg.eigvalsh(result.correlation).min() > 0.0
 
 
+@pytest.mark.slow
 def test_a_search_with_a_rim_about_middles_that_are_hardly_shown_ends():
     """Rim and middle multiply each other: steps that do not bend with them take ever smaller shares."""
     bench = WORLDS["S2"](14, 9, 1, 0)

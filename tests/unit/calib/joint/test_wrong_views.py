@@ -156,6 +156,7 @@ def test_stars_on_no_lattice_have_no_columns():
     assert doubts(scattered) == []
 
 
+@pytest.mark.slow
 def test_a_certificate_is_not_blamed_for_a_shifted_view():
     drawn = WORLDS["raytraced"](701, 3, 1, 0)
     views = views_of(drawn)
