@@ -119,9 +119,8 @@ class Equations:
     precisions: tuple[Array, ...]  # For each view (N,) of `ViewStars.precision`
     rim: RimNoise
     shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
-    # of_views, right_of_views: (m, B, B) and (m, B) what each view adds to ``squares`` and ``right``
-    of_views: Array
-    right_of_views: Array
+    of_views: Array  # (m, B, B) what each view adds to ``squares``
+    right_of_views: Array  # (m, B) what each view adds to ``right``
 
     @cached_property
     def observed(self) -> float:
@@ -144,10 +143,8 @@ class Bench:
     stars: tuple[ViewStars, ...]
     poses: NDArray[np.int64]  # (m,) pose of each view
     readings: Readings | None
-    # turns, axes: (n, 2) tangents of each pose's turn along X and Y, and (n, 2, 2) the camera's x and y axes on the
-    # target. They are data, so that no step changes them.
-    turns: Array
-    axes: Array
+    turns: Array  # (n, 2) tangents of each pose's turn along X and Y; data, so that no step changes them
+    axes: Array  # (n, 2, 2) the camera's x and y axes on the target; data as well
     # (n, 2) place of the pupil in the beam, in sines of a turn that would bring it there.
     pupils: Array
     discs: tuple[Disc, ...] = ()  # Visible disc of each view, if the rim is in view

@@ -217,10 +217,10 @@ class Marginal:
         # repeats: (m, 1) number of views of the same pose.
         self.repeats = np.bincount(bench.poses)[bench.poses][:, None].astype(float)
         self.uses_readings = len(equations.off) > 0
-        # loose: (m, 3) variances of the stars' rotations, unit amplitude. axes: (m, 3, 3) their axes, in rows. rows,
-        # own_rows, off: (m, 3, S), (m, 3, F), (m, 3) what the readings say in these axes.
+        # (m, 3) variances of the stars' rotations, unit amplitude.
         self.loose, columns = np.linalg.eigh(np.linalg.inv(equations.turns))
-        self.axes = np.swapaxes(columns, 1, 2)
+        self.axes = np.swapaxes(columns, 1, 2)  # (m, 3, 3) axes of these rotations, in rows
+        # What the readings say in these axes: (m, 3, S) of what is shared, (m, 3, F) of the fields, (m, 3) how far off.
         self.rows, self.own_rows = np.zeros((0, 3, size)), np.zeros((0, 3, len(places)))
         self.off = np.zeros((0, 3))
         if self.uses_readings:
