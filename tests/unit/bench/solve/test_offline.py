@@ -348,20 +348,11 @@ def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path
     stated = {"name": str(station), "path": str(station), "sha256": hashed, "text": PLAIN}
     assert described["station"] == {**stated, "passport_source": None}
 
-    def of_station_file():
-        checked = check_recalculated(tmp_path / "out")
-        remarks = [remark for remark in checked.remarks if "station file" in remark]
-        return " ".join(remarks), " ".join(map(str, checked.faults))
-
-    assert of_station_file() == ("", "")
+    assert not check_recalculated(tmp_path / "out").faults
     described["option_target"]["pitch_mm"] += 1
     sources.chmod(0o644)
     sources.write_text(json.dumps(described))
-    assert of_station_file()[1].startswith("sources.json: ")
-    station.write_text(OWN_TARGET)
-    assert "another station file lies there now" in of_station_file()[0]
-    station.unlink()
-    assert "is not there any more" in of_station_file()[0]
+    assert any(fault.where == "sources.json" for fault in check_recalculated(tmp_path / "out").faults)
 
 
 STATED = (
@@ -393,7 +384,7 @@ def test_loose_files_take_what_the_station_states_and_say_that_the_stage_s_readi
     assert "gimbal" in result.skipped[0]
     write_offline_results(result, "out", tmp_path / "out", key)
     station.unlink()
-    assert check_recalculated(tmp_path / "out").faults == []
+    assert not check_recalculated(tmp_path / "out").faults
 
 
 @pytest.mark.parametrize("other", [{"passport": "none"}, {"model": "planar"}])

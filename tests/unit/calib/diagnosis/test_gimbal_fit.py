@@ -119,6 +119,7 @@ def test_derivatives_are_those_of_differences():
         assert -there / 1e-6 == pytest.approx(slopes, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_the_scatter_is_what_the_stated_covariance_leaves_out():
     for stated, unstated in ((5.0, 60.0), (5.0, 15.0), (20.0, 0.0)):
         benches = [draw_gimbal(seed, poses=12, noise_arcsec=np.hypot(stated, unstated)) for seed in range(6)]

@@ -180,6 +180,7 @@ def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
         assert all(0.9 < scale < 1.2 for scale in check.scale.values())
 
 
+@pytest.mark.slow
 def test_without_their_odds_suspects_are_found_that_are_not_there(monkeypatch):
     every = weighed_suspects.suspects
     monkeypatch.setattr(weighed_suspects, "suspects", lambda *given: dict.fromkeys(every(*given), -20.0))

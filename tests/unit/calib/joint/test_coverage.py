@@ -83,6 +83,7 @@ def test_errors_of_the_camera_lie_within_u_and_fill_it(benches):
     assert (rms < 1.4).all()
 
 
+@pytest.mark.slow
 def test_the_covariance_holds_for_all_parameters_of_the_camera_together(benches):
     """The errors of fx, fy, cx, cy in the metric of their covariance: a chi-square with four degrees of freedom."""
     squares = [
@@ -92,6 +93,7 @@ def test_the_covariance_holds_for_all_parameters_of_the_camera_together(benches)
     assert 1.2 < np.mean(squares) < 6.5
 
 
+@pytest.mark.slow
 def test_the_map_is_as_large_as_the_errors_of_the_directions(benches):
     ratios = []
     for bench in benches:
@@ -123,6 +125,7 @@ def boresight_errors(bench):
     )[:2]
 
 
+@pytest.mark.slow
 def test_the_boresight_lies_within_u_of_how_the_camera_is_mounted(benches):
     boresights = [bench.result.boresight for bench in benches]
     errors = [boresight_errors(bench) for bench in benches]
@@ -136,6 +139,7 @@ def test_the_boresight_lies_within_u_of_how_the_camera_is_mounted(benches):
         assert np.sqrt((4.0 * over**2).mean()) > 0.4
 
 
+@pytest.mark.slow
 def test_an_angle_to_a_face_of_the_mount_has_the_u_of_the_ray_and_of_the_face(benches):
     boresight = benches[0].result.boresight
     straight, own = boresight.angle_to(boresight.sight, 0.0)
