@@ -26,8 +26,7 @@ from drivers.stage.refusals import read_back_otherwise
 from drivers.wire_log import WireLog
 
 HOST: Final = 0x01  # Address of the computer
-UNIT: Final = 0x50
-"""Address of a controller with its own USB port."""
+UNIT: Final = 0x50  # Address of a controller with its own USB port
 _RACKS: Final = frozenset({0x11, *range(0x21, 0x2B)})
 """Addresses of a controller with bays, and of its bays."""
 _NO_BAYS: Final = "BSC20x and BBD20x, such as those of an HDR50, do not work: use a controller of one axis."
