@@ -14,15 +14,8 @@ from drivers.stage import AxisIdentity
 from drivers.stage.line_per_axis import LinePerAxisStage
 from drivers.stage.motion import Axis
 from drivers.stage.refusals import CHECK_PORTS, not_movable
-from drivers.stage.thorlabs_controller import (
-    CONNECTED,
-    FORWARD,
-    REVERSE,
-    SWITCHES,
-    HomeParameters,
-    Status,
-    ThorlabsController,
-)
+from drivers.stage.thorlabs_controller import ThorlabsController
+from drivers.stage.thorlabs_messages import CONNECTED, FORWARD, REVERSE, SWITCHES, HomeParameters, Status
 from drivers.stage.watched import AxisState
 
 _ZERO_UNKNOWN: Final = "the controller does not tell its home parameters, so its zero is not known"

@@ -14,7 +14,7 @@ import pytest
 from drivers.clock import SystemClock
 from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage import AxisLimits
-from drivers.stage.thorlabs_controller import STOP, STOP_BY_RAMP, short
+from drivers.stage.thorlabs_messages import STOP, STOP_BY_RAMP, short
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.line_faults import LineFault
 from simulators.ports.serial_device import SerialDevice, TcpPort

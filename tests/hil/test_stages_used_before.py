@@ -13,7 +13,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
-from drivers.stage import thorlabs_controller as apt
+from drivers.stage import thorlabs_messages as apt
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.ximc import XimcStage
 from drivers.stage.ximc_protocol import request

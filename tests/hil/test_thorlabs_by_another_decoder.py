@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.stage import thorlabs_controller as ours
-from drivers.stage.thorlabs_controller import FAMILIES, Information, Status
+from drivers.stage import thorlabs_messages as ours
+from drivers.stage.thorlabs_messages import FAMILIES, Information, Status
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import AxisModel, Mechanics

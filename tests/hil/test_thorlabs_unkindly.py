@@ -14,7 +14,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.stage import AxisLimits
-from drivers.stage import thorlabs_controller as apt
+from drivers.stage import thorlabs_messages as apt
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.thorlabs_apt import AptController

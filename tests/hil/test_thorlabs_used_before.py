@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout
-from drivers.stage import thorlabs_controller as apt
+from drivers.stage import thorlabs_messages as apt
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.thorlabs_apt import AptController

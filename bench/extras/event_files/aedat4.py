@@ -25,7 +25,6 @@ from drivers.camera.event_arrays import (
 )
 from drivers.camera.formats.library_process import LibraryFormat
 from drivers.camera.raw_header import agreed_size
-from drivers.errors import CameraSoftwareMissing
 
 _PIECE: Final = 500_000  # Events
 _MAGIC: Final = b"#!AER-DAT4.0"
@@ -47,14 +46,8 @@ def open_aedat4(path: Path, choices: ReadingChoices) -> EventSource:
 
 
 def _decoder(path: Path) -> Any:
-    try:
-        import aedat
-    except ImportError as error:
-        raise CameraSoftwareMissing(
-            "Reading AEDAT4 files needs the package aedat.",
-            where=str(path),
-            remedy="Install it: pip install 'starbench[formats]'",
-        ) from error
+    import aedat
+
     return aedat.Decoder(path)
 
 

@@ -33,7 +33,7 @@ from drivers.camera.event_arrays import (
 )
 from drivers.camera.formats.library_process import LibraryFormat
 from drivers.camera.raw_header import agreed_size
-from drivers.errors import CameraSoftwareMissing, NotARecording
+from drivers.errors import NotARecording
 
 _MOST_NAMED: Final = 8  # A line
 
@@ -96,15 +96,9 @@ def open_bag(path: Path, choices: ReadingChoices) -> EventSource:
 @contextmanager
 def _opened_bag(path: Path) -> Iterator[tuple[Any, Any]]:
     """Open a bag; yield its reader and a function that decodes a message."""
-    try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError as error:
-        raise CameraSoftwareMissing(
-            "Reading ROS bags needs the package rosbags.",
-            where=str(path),
-            remedy="Install it: pip install 'starbench[formats]'",
-        ) from error
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))

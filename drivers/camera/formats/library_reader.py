@@ -50,6 +50,12 @@ def main(kind: str, path: Path, choices: ReadingChoices) -> None:
             for begin in range(0, max(len(events.t), len(edges.t)), _PIECE):
                 _write({}, events.part(begin, begin + _PIECE), edges.part(begin, begin + _PIECE))
         _write({"end": True})
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        remedy = f"Install it: pip install {package}"
+        _write(
+            {"kind": "missing", "error": f"Reading this file needs the package {package}.", "remedy": remedy}
+        )
     except CameraSoftwareMissing as error:
         _write({"kind": "missing", "error": error.what, "remedy": error.remedy})
     except RecordingCorrupt as error:

@@ -138,9 +138,11 @@ def test_what_a_file_states_wrongly_is_refused(tmp_path, data):
 
 
 def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch):
-    (tmp_path / "aedat.py").write_text("raise ImportError('no such package')")
+    (tmp_path / "aedat.py").write_text("raise ModuleNotFoundError(name='aedat.core')")
     monkeypatch.syspath_prepend(tmp_path)
     path = tmp_path / "a.aedat4"
     path.write_bytes(header(NONE))
-    with pytest.raises(CameraSoftwareMissing, match="needs the package aedat"):
+    with pytest.raises(CameraSoftwareMissing, match="package aedat") as caught:
         import_events(path)
+    assert caught.value.where == str(path)
+    assert "pip install aedat" in caught.value.remedy

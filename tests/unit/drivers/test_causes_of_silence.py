@@ -13,7 +13,8 @@ from drivers.errors import DeviceRefused, DriverError, PortLost, ReplyGarbled, R
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from drivers.serial_port import SerialPort
-from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController, size
+from drivers.stage.thorlabs_controller import ThorlabsController
+from drivers.stage.thorlabs_messages import INFORMATION_LAYOUT, size
 from drivers.stage.zaber import ZaberStage
 from tests.hil.direct_stages import VirtualClock
 from tests.unit.drivers.light.generator_bench import Bench as GeneratorBench
