@@ -1,18 +1,16 @@
-"""The commands that the extras bring: help, examples, calls in the documents, and messages about invalid arguments."""
+"""The commands that the extras bring: calls in the documents, and messages about invalid arguments."""
 
 import re
 from pathlib import Path
 
 import pytest
-from calling import ended, out_of, refusal
-from command_words import NOBODY, check_help, check_words, commands, examples
+from calling import ended
+from command_words import NOBODY, check_words, commands
 
-from bench.commands.cli import SECTIONS, cli
+from bench.commands.cli import cli
 
 ROOT = Path(__file__).parents[2]
-OF_CORE = {name for section in SECTIONS.values() for name in section}
-ALL = dict(commands(cli.list_commands(NOBODY)))
-OF_EXTRAS = {words: command for words, command in ALL.items() if words.split()[0] not in OF_CORE}
+COMMANDS = dict(commands(cli.list_commands(NOBODY)))
 
 
 @pytest.fixture(autouse=True)
@@ -30,18 +28,6 @@ def say(capsys):
     return called
 
 
-@pytest.mark.parametrize("words", sorted(OF_EXTRAS))
-def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words):
-    status, text, _ = say(*words.split(), "--help")
-    assert status == 0
-    check_help(words, OF_EXTRAS[words], text)
-
-
-@pytest.mark.parametrize("line", examples(OF_EXTRAS))
-def test_an_example_uses_existing_arguments_and_options(line):
-    assert check_words(line) == []
-
-
 def shown_in_documents():
     """Every call of the program that a document shows."""
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))):
@@ -50,7 +36,7 @@ def shown_in_documents():
         for call in calls:
             words = call.partition(" #")[0].strip()
             if (
-                words.removeprefix("starbench ") not in ALL and "COMMAND" not in words
+                words.removeprefix("starbench ") not in COMMANDS and "COMMAND" not in words
             ):  # a command's bare name is no call
                 yield pytest.param(words, id=f"{path.name}: {words}")
 
@@ -76,17 +62,6 @@ def test_an_impossible_number_is_an_invalid_argument(say, tmp_path, words, numbe
     assert not (tmp_path / "new.json").exists()
 
 
-@pytest.mark.parametrize(
-    "words", [("convert", "{file}", "new.npz"), ("undistort", "{file}", "-o", "new.npz")]
-)
-def test_a_queue_in_the_place_of_data_is_refused_with_what_it_is(say, tmp_path, words):
-    (tmp_path / "q.yaml").write_text("format: starbench/queue/1\nname: N\n")
-    assert "This is a queue; it holds no data." in say(*[word.format(file="q.yaml") for word in words])[2]
-    status, _, message = say(*[word.format(file="nowhere") for word in words])
-    assert status == 2
-    assert "nowhere: " in message
-
-
 def test_a_conversion_needs_a_source_and_a_free_output(say, tmp_path):
     assert "SOURCE and OUTPUT; only a.raw is given" in say("convert", "a.raw")[2]
     (tmp_path / "source").write_text("")
@@ -96,13 +71,25 @@ def test_a_conversion_needs_a_source_and_a_free_output(say, tmp_path):
     assert (tmp_path / "taken.npz").read_text() == "as it was"
 
 
-def test_a_station_file_without_its_option_is_refused_with_the_option(say, tmp_path):
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("convert q.yaml new.npz", "This is a queue"),
+        ("undistort q.yaml -o new.npz", "This is a queue"),
+        ("convert nowhere new.npz", "nowhere: "),
+        ("undistort nowhere -o new.npz", "nowhere: "),
+        ("align bench.yaml", "Name it with --station."),
+        ("certificate new bench.yaml", "exists"),
+    ],
+)
+def test_a_file_in_the_wrong_place_is_refused_with_what_it_is(say, tmp_path, words, message):
+    (tmp_path / "q.yaml").write_text("format: starbench/queue/1\nname: N\n")
     (tmp_path / "bench.yaml").write_text("format: starbench/station/1\n")
-    assert say("align", "bench.yaml")[2].endswith("bench.yaml is a station file. Name it with --station.\n")
+    status, _, error = say(*words.split())
+    assert status == 2
+    assert message in error
 
 
-def test_the_same_verb_takes_the_same_arguments(capsys, tmp_path):
-    output = out_of(capsys, "certificate", "new", tmp_path / "lab.yaml")
-    assert output.startswith(f"Written: {tmp_path / 'lab.yaml'}.")
-    assert "REPLACE" in (tmp_path / "lab.yaml").read_text()
-    assert "exists" in refusal(capsys, "certificate", "new", tmp_path / "lab.yaml", status=2)
+def test_a_new_file_of_the_laboratory_is_one_to_fill_in(say):
+    assert say("certificate", "new", "lab.yaml")[1].startswith("Written: lab.yaml.")
+    assert "REPLACE" in Path("lab.yaml").read_text()

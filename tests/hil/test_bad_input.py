@@ -39,24 +39,24 @@ def test_faults_of_files_are_placed_and_nothing_is_made(capsys, in_sequence, in_
     assert not Path("out").exists()
 
 
-def test_another_serial_number_on_the_port_is_refused_before_anything_moves(capsys):
-    station = write("station.yaml", PLAIN.replace("serial: 100102", "serial: 999999"))
-    status, (_, message) = ended(capsys, "run", "three_pose", "--station", station, "--output", "out")
+@pytest.mark.parametrize(
+    ("in_station", "words", "serials"),
+    [
+        (("serial: 100102", "serial: 999999"), (), ("999999", "100102")),
+        (("", ""), ("--expect-serial", "00099999"), ("00099999", "00050423")),
+    ],
+    ids=["axis", "camera"],
+)
+def test_another_device_than_the_expected_one_is_refused_before_anything_moves(
+    capsys, in_station, words, serials
+):
+    station = write("station.yaml", PLAIN.replace(*in_station))
+    status, (_, message) = ended(capsys, "run", "three_pose", "--station", station, "--output", "out", *words)
     assert status == 1
-    assert "999999" in message
-    assert "100102" in message
-    assert '"home' not in Path("out/wire.jsonl").read_text()
-    assert " move " not in Path("out/wire.jsonl").read_text()
-
-
-def test_another_camera_than_the_expected_one_is_refused_before_anything_moves(capsys):
-    station = write("station.yaml", PLAIN)
-    words = ("--output", "out", "--expect-serial", "00099999")
-    status, (_, message) = ended(capsys, "run", "three_pose", "--station", station, *words)
-    assert status == 1
-    assert "00099999" in message
-    assert '"home' not in Path("out/wire.jsonl").read_text()
-    assert " move " not in Path("out/wire.jsonl").read_text()
+    assert all(serial in message for serial in serials)
+    wire = Path("out/wire.jsonl").read_text()
+    assert '"home' not in wire
+    assert " move " not in wire
 
 
 @pytest.mark.parametrize(

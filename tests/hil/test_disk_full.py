@@ -65,9 +65,3 @@ def test_a_full_disk_loses_nothing_and_the_journal_still_tells_of_it(small_disk)
     assert entries[-1].event == "disk_full"
     assert len(stored_captures(entries)) == failed - 1
     assert not list(path.rglob("*.tmp"))
-
-
-def test_a_disk_too_small_is_told_before_anything_is_written(small_disk):
-    with pytest.raises(StorageError, match=r"needs 9 MB, but the disk has only 4 MB left"):
-        RunFolder.create(small_disk / "run", bytes_needed=9_000_000)
-    assert not (small_disk / "run" / ".reserve").exists()

@@ -1,7 +1,6 @@
 """A disk whose writes and syncs fail at random, in a real process: bounded, told in words, safe, and nothing stored is lost."""
 
 import hashlib
-import os
 import subprocess
 
 import pytest
@@ -79,11 +78,3 @@ def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
     assert recorded.items() <= stored(folder).items()
     assert hashes(folder, recorded) == recorded
     assert starbench("verify", folder, home=home).returncode == 0
-
-
-@pytest.mark.slow
-def test_a_sync_that_fails_is_told_as_the_disks_error(shim, tmp_path, files):
-    ended = run_on_failing_disk(shim, tmp_path, files, "sync", 1.0, 0)
-    assert ended.returncode == 1, os.fspath(shim)
-    assert "Input/output error" in ended.stderr
-    assert "Traceback" not in ended.stderr

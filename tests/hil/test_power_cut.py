@@ -17,17 +17,14 @@ from pathlib import Path
 import pytest
 from own_disk import Disk
 
-from bench.base.errors import BenchError
 from bench.record.journal import Journal, read_journal, stored_captures
 from bench.record.recovery import recover
 from bench.record.run_folder import RunFolder
 
 WRITER = """
-import hashlib, os, sys, time
+import hashlib, sys, time
 from datetime import UTC, datetime
 from pathlib import Path
-if sys.argv[2] == "careless":
-    os.fsync = lambda descriptor: None
 from bench.record.journal import Journal
 from bench.record.journal import CAPTURE_STORED, capture_name
 from bench.record.recovery import recover
@@ -67,10 +64,10 @@ def wait_until_stopped(pid):
         time.sleep(0.001)
 
 
-def write_until_cut(disk, path, *, care, frozen, after_s):
+def write_until_cut(disk, path, *, frozen, after_s):
     """Let a process write poses, cut the power, and return the number of the last one acknowledged."""
     with subprocess.Popen(
-        [sys.executable, "-c", WRITER, path, care],
+        [sys.executable, "-c", WRITER, path],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
@@ -111,23 +108,9 @@ def test_nothing_acknowledged_is_lost_and_what_is_there_is_whole_when_the_power_
     moments = random.Random(1)
     path, cuts, kept = disk.mounted / "run", 25, 0
     for _ in range(cuts):
-        last = write_until_cut(disk, path, care="careful", frozen=frozen, after_s=moments.uniform(0.02, 0.4))
+        last = write_until_cut(disk, path, frozen=frozen, after_s=moments.uniform(0.02, 0.4))
         on_disk = poses_on_disk(path)
         assert on_disk >= kept
         assert on_disk >= last or not frozen
         kept = on_disk
     assert kept > 0
-
-
-@pytest.mark.slow
-def test_without_syncs_this_very_test_finds_losses(disk):
-    moments = random.Random(3)
-    lost = 0
-    for number in range(5):
-        path = disk.mounted / f"run{number}"
-        last = write_until_cut(disk, path, care="careless", frozen=True, after_s=moments.uniform(0.1, 0.3))
-        try:
-            lost += last - poses_on_disk(path)
-        except (AssertionError, BenchError, OSError):  # anything may be left of it
-            lost += last
-    assert lost > 0

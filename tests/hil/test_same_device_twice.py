@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -22,14 +20,6 @@ from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice, TcpPort
 from tests.hil.direct_stages import of_one_port
-
-HOLD = """
-import sys
-from drivers.file_lock import DeviceHold
-hold = DeviceHold(sys.argv[1])
-print("held", flush=True)
-sys.stdin.read()
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -80,12 +70,10 @@ def test_a_serial_number_in_capitals_or_in_small_letters_is_one_device() -> None
     hold.release()
 
 
-def test_a_killed_process_leaves_no_hold(ports) -> None:
-    command = [sys.executable, "-c", HOLD, "Zaber 100102"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout.readline() == "held\n"
-        with pytest.raises(PortBusy, match="Zaber 100102"):
-            opened(ports[0])
-        holder.kill()
+def test_a_stage_of_which_one_axis_is_in_use_holds_none(ports) -> None:
+    hold = DeviceHold("Zaber 100102")
+    with pytest.raises(PortBusy, match="Zaber 100102"):
+        opened(ports[0])
     DeviceHold("Zaber 100101").release()
+    hold.release()
     opened(ports[0]).close()

@@ -5,22 +5,12 @@ What its faults do stands in test_every_fault.py, what a port does in test_plugi
 
 from __future__ import annotations
 
-import time
-from contextlib import closing
-
-import numpy as np
 import pytest
 
-from drivers.clock import SystemClock
 from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
-from drivers.stage import AxisLimits
 from drivers.stage.thorlabs_messages import STOP, STOP_BY_RAMP, short
-from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.faults.line_faults import LineFault
-from simulators.ports.serial_device import SerialDevice, TcpPort
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.zaber import ZaberChain, ZaberController
-from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock, stop_in_mid_move
+from tests.hil.direct_stages import FAMILIES, DirectStage, rig_of, stop_in_mid_move
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -53,7 +43,7 @@ class Interrupted(Exception):
 
 @pytest.fixture(params=FAMILIES)
 def rig(request) -> DirectStage:
-    rig = FAMILIES[request.param](VirtualClock(), np.random.default_rng(1))
+    rig = rig_of(request.param)
     rig.family = request.param
     return rig
 
@@ -150,22 +140,3 @@ def test_an_axis_found_moving_is_stopped_at_opening(rig) -> None:
     assert -14.0 < stopped_deg < 9.9
     rig.line.clock.sleep(5.0)
     assert rig.true_deg() == pytest.approx(stopped_deg, abs=0.01)
-
-
-def test_a_stage_is_moved_over_the_network() -> None:
-    model = AxisModel(Mechanics(6400, -17.0, 17.0), "100101")
-    controller = ZaberController(model, time.monotonic())
-    axis = ZaberAxis(
-        name="pan",
-        device=1,
-        serial="100101",
-        microsteps_per_deg=6400,
-        limits=AxisLimits(-15.0, 15.0, 40.0, 200.0),
-    )
-    with (
-        SerialDevice(TcpPort("stage"), ZaberChain([controller], time.monotonic)) as device,
-        closing(ZaberStage.open(device.address, [axis], clock=SystemClock())) as stage,
-    ):
-        stage.home()
-        stage.move_to({"pan": 5.0})
-    assert controller.axis.pointing.angle_deg(time.monotonic() + 1.0) == pytest.approx(5.0, abs=0.002)

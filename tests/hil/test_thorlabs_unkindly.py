@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from drivers.errors import (
@@ -19,12 +18,12 @@ from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.thorlabs_apt import AptController
 from tests.hil.direct_stages import (
-    FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
     DirectStage,
     VirtualClock,
     direct_line,
+    rig_of,
     stop_in_mid_move,
 )
 
@@ -33,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("never_late")
 
 @pytest.fixture(params=["thorlabs", "k10cr1"], ids=["KDC101", "K10CR1"])
 def rig(request) -> DirectStage:
-    return FAMILIES[request.param](VirtualClock(), np.random.default_rng(1))
+    return rig_of(request.param)
 
 
 def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None:
@@ -134,7 +133,7 @@ def test_a_limit_switch_is_named(rig) -> None:
 
 
 def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
-    rig = FAMILIES["thorlabs"](VirtualClock(), np.random.default_rng(1))
+    rig = rig_of("thorlabs")
     rig.stage.home()
     asked = [sent for sent in rig.line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]
     assert len(asked) > 20

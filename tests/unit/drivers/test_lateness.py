@@ -78,30 +78,18 @@ def test_a_slow_device_on_an_idle_computer_is_not_blamed_on_the_computer():
     assert deadline.starved_s() == 0.0
 
 
-class SilentPort:
-    """A port on which nothing comes."""
+@pytest.fixture
+def ask_a_silent_port(scripted):
+    def ask():
+        link = CountedLink(scripted([(b"?\n", b"")]), SystemClock())
+        with pytest.raises(ReplyTimeout) as caught:
+            link.exchange(b"?\n", lambda reader: reader.read_line(), deadline_s=0.01)
+        return caught.value
 
-    name = "silent"
-
-    def read(self, timeout_s):
-        del timeout_s
-        return b""
-
-    def write(self, data):
-        pass
-
-    def close(self):
-        pass
+    return ask
 
 
-def _ask_silent_port():
-    link = CountedLink(SilentPort(), SystemClock())
-    with pytest.raises(ReplyTimeout) as caught:
-        link.exchange(b"?\n", lambda reader: reader.read_line(), deadline_s=0.01)
-    return caught.value
-
-
-def test_a_time_out_on_a_busy_computer_says_so(monkeypatch):
+def test_a_time_out_on_a_busy_computer_says_so(monkeypatch, ask_a_silent_port):
     class Late:
         def __init__(self):
             self._lost_s = 0.0
@@ -112,15 +100,15 @@ def test_a_time_out_on_a_busy_computer_says_so(monkeypatch):
 
     monkeypatch.setattr(lateness, "own_lateness", Late)
     monkeypatch.setattr(lateness, "MOST_STRETCH_S", 0.1)
-    error = _ask_silent_port()
+    error = ask_a_silent_port()
     assert "this computer is too busy: it was" in error.what
     assert "baud rate" not in str(error)
     assert error.late_s > 0
 
 
-def test_a_time_out_on_an_idle_computer_names_the_line(monkeypatch):
+def test_a_time_out_on_an_idle_computer_names_the_line(monkeypatch, ask_a_silent_port):
     monkeypatch.setattr(lateness, "own_lateness", lambda: Lateness(Time()))
-    error = _ask_silent_port()
+    error = ask_a_silent_port()
     assert "baud rate" in error.remedy
     assert error.late_s == 0.0
 

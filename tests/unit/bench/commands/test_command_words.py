@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 from calling import ended, out_of, refusal
-from command_words import check_help, check_words, commands, examples
+from command_words import NOBODY, check_help, check_words, commands, examples
 from journals import MadeRun
 
 from bench.base.errors import StorageError
-from bench.commands.cli import SECTIONS, cli
+from bench.commands.cli import cli
 from bench.commands.output import print_error
 
 RUN_COMMANDS = [
@@ -39,7 +39,7 @@ sys.meta_path.insert(0, Interrupted())
 ROOT = Path(__file__).parents[4]
 
 
-CORE = dict(commands([name for section in SECTIONS.values() for name in section]))
+COMMANDS = dict(commands(cli.list_commands(NOBODY)))
 
 
 @pytest.fixture(autouse=True)
@@ -65,11 +65,11 @@ def batch_folder(path, run="cam7-001"):
     return path
 
 
-@pytest.mark.parametrize("words", sorted(CORE))
+@pytest.mark.parametrize("words", sorted(COMMANDS))
 def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words):
     status, text, _ = say(*words.split(), "--help")
     assert status == 0
-    check_help(words, CORE[words], text)
+    check_help(words, COMMANDS[words], text)
 
 
 def test_the_list_of_commands_is_complete_and_not_truncated(say):
@@ -78,7 +78,7 @@ def test_the_list_of_commands_is_complete_and_not_truncated(say):
     assert [name for name in cli.commands if f"\n  {name} " not in listed] == []
 
 
-@pytest.mark.parametrize("line", examples(CORE))
+@pytest.mark.parametrize("line", examples(COMMANDS))
 def test_an_example_uses_existing_arguments_and_options(line):
     assert check_words(line) == []
 

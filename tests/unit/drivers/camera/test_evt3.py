@@ -24,26 +24,24 @@ from tests.unit.drivers.camera.evt3_words import (
 )
 
 
-def test_a_base_near_the_edge_is_fine_as_long_as_no_bit_lies_beyond_it():
-    assert len(decode(high(0), low(0), row(0), base(WIDTH - 4), vector12(0b1111))[0]) == 4
-
-
-def test_slave_bit_of_a_row_is_no_part_of_the_row():
-    assert decode(high(0), low(0), row(5) | 0x800, event(3))[0] == [(0, 3, 5, 0)]
+@pytest.mark.parametrize(
+    ("words", "events"),
+    [
+        ([row(5) | 0x800, event(3)], [(0, 3, 5, 0)]),
+        ([0x1000 | 5, event(3), row(6), event(4)], [(0, 4, 6, 0)]),
+        ([event(3), row(0), vector12(7)], []),
+        ([row(0), base(WIDTH - 2), vector12(0b11)], [(0, WIDTH - 2, 0, 0), (0, WIDTH - 1, 0, 0)]),
+    ],
+    ids=["slave bit", "row of another kind", "before the first row or base", "vector up to the edge"],
+)
+def test_an_event_has_the_place_that_the_words_before_it_say(words, events):
+    assert decode(high(0), low(0), *words)[0] == events
 
 
 def test_events_before_the_first_time_are_dropped():
     events, edges, _ = decode(row(5), event(3), base(0), vector12(7), trigger(1), high(1), low(2), event(4))
     assert events == [(4098, 4, 5, 0)]
     assert edges == []
-
-
-def test_events_before_the_first_row_or_base_are_dropped():
-    assert decode(high(1), low(2), event(3), row(0), vector12(7))[0] == []
-
-
-def test_events_in_rows_of_another_kind_are_skipped():
-    assert decode(high(0), low(0), 0x1000 | 5, event(3), row(6), event(4))[0] == [(0, 4, 6, 0)]
 
 
 @pytest.mark.parametrize(
@@ -149,45 +147,44 @@ def test_time_low_stepping_back_by_some_microseconds_is_no_wrap():
     assert [t for t, *_ in events] == [4116, 4105]
 
 
-@pytest.mark.parametrize(("back", "fine"), [(64, True), (65, False)])
-def test_how_far_a_clock_may_step_back(back, fine):
-    words = [high(1), low(100), low(100 - back)]
-    if fine:
-        assert decode(*words)[2].last_t_us == 4096 + 100 - back
-    else:
-        with pytest.raises(RecordingCorrupt):
-            decode(*words)
+@pytest.mark.parametrize(
+    ("words", "last_t_us"),
+    [
+        ([high(1), low(100), low(36)], 4096 + 36),
+        ([high(1000 + 2048), low(0), high(1000)], LOOP_US + (1000 << 12)),
+    ],
+    ids=["64 us", "half a turn"],
+)
+def test_a_clock_may_step_back_a_little_or_wrap(words, last_t_us):
+    assert decode(*words)[2].last_t_us == last_t_us
 
 
-@pytest.mark.parametrize(("new", "wraps"), [(1000, True), (1001, False)])
-def test_a_time_high_that_is_half_a_turn_lower_has_wrapped(new, wraps):
-    words = [high(1000 + 2048), low(0), high(new)]
-    if wraps:
-        assert decode(*words)[2].last_t_us == LOOP_US + (1000 << 12)
-    else:
-        with pytest.raises(RecordingCorrupt):
-            decode(*words)
+@pytest.mark.parametrize(
+    ("words", "fact"),
+    [
+        ([high(1), low(100), low(35)], "4196 us.* 35"),
+        ([high(1), low(8000 - 4096), low(5)], "8000 us.* 5"),
+        ([high(1001 + 2047), low(0), high(1001)], "1001"),
+        ([high(10), low(0), high(9)], "9"),
+    ],
+    ids=["65 us", "far", "less than half a turn", "one high word"],
+)
+def test_a_clock_that_steps_back_further_means_missing_words(words, fact):
+    with pytest.raises(RecordingCorrupt, match=fact) as caught:
+        decode(*words)
+    assert caught.value.offset == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "first_t_us"), [([high(0), low(0), low(5)], 0), ([low(5), row(0), event(0)], -1)]
+)
+def test_a_stream_begins_with_its_first_whole_time(words, first_t_us):
+    assert decode(*words)[2].first_t_us == first_t_us
 
 
 def test_a_stream_without_a_whole_time_has_no_duration():
     assert decode()[2].duration_s == 0.0
     assert decode(high(5))[2].duration_s == 0.0
-
-
-def test_a_stream_that_begins_at_zero_covers_its_time():
-    assert decode(high(0), low(0), low(5), low(9))[2].first_t_us == 0
-
-
-def test_time_low_stepping_back_far_means_missing_words():
-    with pytest.raises(RecordingCorrupt, match="steps back from 8000 us: its lower part reads 5") as caught:
-        decode(high(1), low(8000 - 4096), low(5))
-    assert caught.value.offset == 4
-
-
-def test_time_high_stepping_back_is_refused():
-    with pytest.raises(RecordingCorrupt, match="upper part reads 9") as caught:
-        decode(high(10), low(0), high(9))
-    assert caught.value.offset == 4
 
 
 def test_time_high_leaping_forward_is_a_gap():
@@ -207,10 +204,6 @@ def test_a_leap_over_the_wrap_is_a_gap_and_one_turn():
     statistics = decode(high(0xFFE), low(0), high(1), low(5))[2]
     assert statistics.gap_count == 1
     assert statistics.last_t_us == LOOP_US + 4096 + 5
-
-
-def test_a_time_low_before_the_first_time_high_is_no_time():
-    assert decode(low(5), row(0), event(0))[2].first_t_us == -1
 
 
 def test_events_between_the_first_time_high_and_its_time_low_are_at_its_start():

@@ -253,12 +253,6 @@ def test_other_files_are_told_by_what_they_are(tmp_path, start, message):
     assert caught.value.remedy
 
 
-def test_a_file_that_ends_within_its_header_is_told_as_such(tmp_path):
-    (tmp_path / "cut.raw").write_bytes(b"% evt 3.0\n% geom")
-    with pytest.raises(NotARecording, match="within its header"):
-        RawFile.open(tmp_path / "cut.raw")
-
-
 @pytest.mark.parametrize("line", [b"% a b\n", b"% a bcd\n"])
 def test_an_endless_header_is_given_up(tmp_path, line):
     path = tmp_path / "endless.raw"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from drivers.stage import AxisLimits
 from drivers.stage.grbl import GrblAxis, GrblStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.grbl import GrblController
+from simulators.stages.grbl import FIRMWARES, GrblController
 from tests.hil.direct_stages import HomedStage, VirtualClock, direct_line
 
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
@@ -15,9 +15,9 @@ RESET, CANCEL = b"\x18", b"\x85"
 JOG = b"$J=G21G53X-20.0Y-20.0F600.0\n"
 
 
-def axes(letters: str = "XY") -> list[GrblAxis]:
+def axes(letters: str = "XY", steps_per_deg: float = 100.0) -> list[GrblAxis]:
     return [
-        GrblAxis(name=name, letter=letter, steps_per_deg=100.0, zero_deg=18.0, limits=LIMITS)
+        GrblAxis(name=name, letter=letter, steps_per_deg=steps_per_deg, zero_deg=18.0, limits=LIMITS)
         for name, letter in zip(("pan", "tilt"), letters, strict=False)
     ]
 
@@ -25,16 +25,32 @@ def axes(letters: str = "XY") -> list[GrblAxis]:
 class Bench(HomedStage):
     """A board of two axes, or of those with these letters, on a line, and the driver for it."""
 
-    def __init__(self, letters: str = "XY") -> None:
+    def __init__(self, letters: str = "XY", firmware: str = "grbl", steps_per_deg: float = 100.0) -> None:
         self.clock = VirtualClock()
-        mechanics = Mechanics(100.0, -23.0, 19.0, home_deg=17.0, start_deg=10.0, stall_detection=False)
+        self.letters, self.steps_per_deg = letters, steps_per_deg
+        mechanics = Mechanics(
+            steps_per_deg, -23.0, 19.0, home_deg=17.0, start_deg=10.0, stall_detection=False
+        )
         models = dict.fromkeys(letters, AxisModel(mechanics, limit_deg=19.5))
         self.board = GrblController(models, self.clock.monotonic)
         self.board.name = "gimbal-7"
+        self.board.firmware = FIRMWARES[firmware]
+        if firmware == "fluidnc":  # whose configuration file allows what the station wants
+            self.board.settings |= {
+                20: 0.0,
+                110: 600.0,
+                111: 600.0,
+                120: 50.0,
+                121: 50.0,
+                130: 35.0,
+                131: 35.0,
+            }
         self.line = direct_line(self.board, self.clock)
 
-    def open(self, letters: str = "XY", **more) -> GrblStage:
-        return GrblStage(self.line, axes(letters), clock=self.clock, **more)
+    def open(self, letters: str | None = None, **more) -> GrblStage:
+        return GrblStage(
+            self.line, axes(letters or self.letters, self.steps_per_deg), clock=self.clock, **more
+        )
 
     def somebody_says(self, data: bytes) -> None:
         """Bytes that somebody else sends; the driver hears what is said to them."""

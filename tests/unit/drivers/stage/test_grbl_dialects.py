@@ -9,7 +9,7 @@ import pytest
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError
 from drivers.stage.grbl_protocol import parse_build_info
 from simulators.stages.grbl import FIRMWARES
-from tests.unit.drivers.stage.grbl_bench import LIMITS, Bench
+from tests.unit.drivers.stage.grbl_bench import Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -120,13 +120,11 @@ def test_a_board_that_echoes_its_lines_is_driven(bench, echo) -> None:
     runs(bench)
 
 
-@pytest.mark.parametrize("asked", [{}, {110: 900.0}])
-def test_settings_that_are_read_only_in_words_are_so_too(bench, asked) -> None:
+@pytest.mark.parametrize("rate", [600.0, 900.0])
+def test_settings_that_are_read_only_in_words_are_so_too(rate) -> None:
     """FluidNC's Error.cpp: error 162 is "Read-only setting"."""
-    bench.board.firmware = FIRMWARES["fluidnc"]
-    travel = 18.0 - LIMITS.lowest_deg
-    bench.board.settings.update({110: 600.0, 111: 600.0, 120: 50.0, 121: 50.0, 130: travel, 131: travel})
-    bench.board.settings.update(asked)
+    bench = Bench(firmware="fluidnc")
+    bench.board.settings[110] = rate
     bench.change(in_words)
     runs(bench)
 
@@ -202,10 +200,7 @@ class FluidNc(Bench):
     """A board with FluidNC whose configuration file is as the station wants it, but for what a test changes."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.board.firmware = FIRMWARES["fluidnc"]
-        travel = 18.0 - LIMITS.lowest_deg
-        self.board.settings.update({110: 600.0, 111: 600.0, 120: 50.0, 121: 50.0, 130: travel, 131: travel})
+        super().__init__(firmware="fluidnc")
         self.configured: dict[str, str | None] = {}
         receive = self.line.device.receive
 
@@ -217,10 +212,6 @@ class FluidNc(Bench):
             return b"error:3\r\n" if value is None else f"{name}={value}\r\nok\r\n".encode()
 
         self.line.device.receive = answer
-
-
-def test_a_fluidnc_board_that_homes_upwards_is_driven() -> None:
-    runs(FluidNc())
 
 
 @pytest.mark.parametrize("cycle", ["0", "-1", None])

@@ -5,12 +5,9 @@ from __future__ import annotations
 import pytest
 
 from drivers.errors import DeviceRefused, DriverError, MoveFailed, NotHomed
-from drivers.stage import AxisLimits
-from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.grbl_protocol import parse_report
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.grbl import FIRMWARES, GrblController
-from tests.hil.direct_stages import VirtualClock, direct_line
+from simulators.stages.grbl import FIRMWARES
+from tests.unit.drivers.stage.grbl_bench import Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -27,31 +24,11 @@ GREETINGS = [
 ]
 
 
-class Rig:
+class Rig(Bench):
     """A board with one axis and the driver for it; machine position 0 is the angle 18."""
 
     def __init__(self, firmware: str = "grbl", steps_per_deg: float = 100.0) -> None:
-        self.clock = VirtualClock()
-        mechanics = Mechanics(
-            steps_per_deg, -23.0, 19.0, home_deg=17.0, start_deg=10.0, stall_detection=False
-        )
-        self.board = GrblController({"X": AxisModel(mechanics, limit_deg=19.5)}, self.clock.monotonic)
-        self.board.firmware = FIRMWARES[firmware]
-        if firmware == "fluidnc":
-            self.board.settings |= {110: 600.0, 120: 50.0, 130: 35.0, 20: 0.0}
-        self.line = direct_line(self.board, self.clock)
-        limits = AxisLimits(-15.0, 15.0, 10.0, 50.0)
-        self.axis = GrblAxis(
-            name="pan", letter="X", steps_per_deg=steps_per_deg, zero_deg=18.0, limits=limits
-        )
-
-    def open(self) -> GrblStage:
-        return GrblStage(self.line, [self.axis], clock=self.clock)
-
-    def homed(self) -> GrblStage:
-        stage = self.open()
-        stage.home()
-        return stage
+        super().__init__("X", firmware, steps_per_deg)
 
     def true_deg(self) -> float:
         return self.board.axes["X"].pointing.angle_deg(self.clock.now_s + 1.0)
