@@ -248,19 +248,6 @@ def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
         queue(("cam7", ""), ("Cam7", ""))
 
 
-def miss_a_goal(run):
-    decided = {
-        "until": 2,
-        "until_last": 9,
-        "step": 5,
-        "ended": "at_most",
-        "why": "U(fx) is 3 px; the goal is 2 px.",
-    }
-    clock = NightClock()
-    with Journal.open(run / "journal.jsonl", utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
-        journal.append(Event.UNTIL_DECIDED, **decided)
-
-
 def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_continues_it(tmp_path):
     file = tmp_path / "my night.yaml"
     file.write_text(

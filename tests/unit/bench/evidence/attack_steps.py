@@ -1,7 +1,6 @@
 """Changes of a sealed run by somebody who has the bench's own key, and the verification that must find them."""
 
 import json
-import re
 import shutil
 from dataclasses import replace
 
@@ -119,29 +118,6 @@ def other_serial(f):
             data["facts"]["serial"] = "00050999"
     f.chain(lines)
     result("devices", "camera", "serial", to="00050999")(f)
-
-
-def other_stage(f):
-    f.edit_line("devices", lambda data: data["stage"][0].__setitem__("serial", "999999"))
-    f.edit_results(lambda results: results["devices"]["stage"][0].__setitem__("serial", "999999"))
-    f.tell_of_files()
-
-
-def not_simulated(f):
-    """The station with real ports; everything says that the run was real."""
-    text = re.sub(r"(?m)^simulation:.*\n", "", (f / "station.yaml").read_text())
-    for old, new in (
-        ("sim:gimbal", "/dev/ttyUSB0"),
-        ("sim:light", "/dev/ttyUSB1"),
-        ("simulated_evk4", "metavision"),
-        ("  address: sim:camera\n", ""),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    (f / "station.yaml").write_text(text)
-    f.edit_line("run_started", lambda data: data.__setitem__("simulated", False))
-    f.edit_results(lambda results: results["run"].__setitem__("simulated", False))
-    f.tell_of_files()
 
 
 def in_views(change):

@@ -50,12 +50,7 @@ def as_filled_in(station: str, folder: Path) -> str:
 
 @pytest.mark.parametrize(
     ("station", "missing"),
-    [
-        ("example_evk4", 10),
-        ("example_network", 8),
-        ("example_turntable", 6),
-        ("example_thorlabs", 11),
-    ],
+    [("example_evk4", 10), ("example_network", 8), ("example_turntable", 6), ("example_thorlabs", 11)],
 )
 def test_an_example_is_refused_until_it_is_filled_in_and_then_runs(station, missing, tmp_path):
     made = make_plan(*load_documents("turntable", station))
@@ -135,79 +130,46 @@ def test_disk_is_counted_for_every_pose_and_every_attempt():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "fault"),
+    ("before", "after", "place", "fact"),
     [
-        (
-            "",
-            "{move: {pan_deg: 16}}",
-            ".move.pan_deg: pan 16 deg is outside the limits of the station, -15 to 15 deg.",
-        ),
-        (
-            "",
-            "{move: {tilt_deg: -10.1}}",
-            ".move.tilt_deg: tilt -10.1 deg is outside the limits of the station, -10 to 10",
-        ),
-        (
-            "",
-            "{move: {roll_deg: 1}}",
-            ".move.roll_deg: the stage of the station has no roll axis; it has pan, tilt.",
-        ),
-        (
-            "",
-            "{light: {frequency_hz: 20000}}",
-            ".light.frequency_hz: 20000 Hz is outside the range of the station's light, 0.1 to 10000 Hz",
-        ),
-        (
-            "",
-            "{record: {window_ms: 10}}",
-            ".window_ms: 10 ms is shorter than a period of 60 Hz: use at least 16.67 ms.",
-        ),
-        (
-            "{light: off}",
-            "",
-            "steps[6].record: this recording is in the dark: switch the light on first (light:).",
-        ),
-        ("solve", "", "steps[1].solve: no pose is recorded before this solve."),
-        ("report", "", "steps[1].report: no solve precedes this report, so there is no result to report."),
-        ("report", "", "steps[2].move: no step may follow the report, which seals the run."),
+        ("", "{move: {pan_deg: 16}}", "move.pan_deg", "-15 to 15 deg"),
+        ("", "{move: {tilt_deg: -10.1}}", "move.tilt_deg", "-10 to 10 deg"),
+        ("", "{move: {roll_deg: 1}}", "move.roll_deg", "no roll axis; it has pan, tilt"),
+        ("", "{light: {frequency_hz: 20000}}", "light.frequency_hz", "0.1 to 10000 Hz"),
+        ("", "{record: {window_ms: 10}}", "window_ms", "at least 16.67 ms"),
+        ("{light: off}", "", "steps[6].record", "in the dark"),
+        ("solve", "", "steps[1].solve", "no pose"),
+        ("report", "", "steps[1].report", "no solve"),
+        ("report", "", "steps[2].move", "no step may follow"),
     ],
 )
-def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(before, after, fault):
+def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(before, after, place, fact):
     steps = [
         "light", before, "{move: {pan_deg: 1}}", "settle", "record", "{move: {pan_deg: 2}}", "record", after,
         "solve", "report",
     ]  # fmt: skip
     messages = faults(f"steps: [{', '.join(filter(None, steps))}]\n")
-    assert any(fault in line for line in messages), messages
+    assert any(f"{place}: " in line and fact in line for line in messages), messages
 
 
 @pytest.mark.parametrize(
     ("recorded", "fault"),
     [
-        (
-            "{until: {expanded_fx_px: 2, at_most: 2, start: {pan_deg: [1, 2, 3]}}}",
-            "start has 3 poses, more than at_most (2).",
-        ),
-        (
-            "{repeat: {poses: these, steps: [move, settle, record]}}",
-            "no set of poses has this name (got 'these').",
-        ),
-        ("record", "a record before any move: add a move before it."),
+        ("{until: {expanded_fx_px: 2, at_most: 2, start: {pan_deg: [1, 2, 3]}}}", "at_most (2)"),
+        ("{repeat: {poses: these, steps: [move, settle, record]}}", "'these'"),
+        ("record", "before any move"),
     ],
 )
 def test_steps_left_out_because_of_a_fault_give_no_second_fault(recorded, fault):
     (message,) = faults(f"steps: [light, {recorded}, {{light: off}}, solve, report]\n")
-    assert message.endswith(fault)
+    assert fault in message
 
 
 def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
     text = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: PAN}}, settle, record, solve, report]\n"
     assert faults(text.replace("PAN", "2")) == []
     (fault,) = faults(text.replace("PAN", "1"))
-    assert fault == (
-        "s.yaml:3:92: steps[7].solve: only one direction is recorded. Record at least 2 directions, or use a passport "
-        "that holds the collimator's centre. A certificate of its focal length is not enough."
-    )
+    assert fault.startswith("s.yaml:3:92: steps[7].solve: only one direction")
 
 
 def test_a_setting_of_the_defaults_is_blamed_where_it_is_written():
@@ -299,9 +261,8 @@ def test_a_pose_that_looks_past_the_beam_is_remarked_and_drawn_outside_of_it():
     assert "14.5 degrees" in remark.message
     drawn = [line for line in render_plan(made).splitlines() if line.startswith("  ")]
     assert any(line.startswith("  2 ") and line.count(".") == 2 for line in drawn)
-    assert (
-        planned(GOOD.replace("pan_deg: 2", "pan_deg: 13")).remarks == ()
-    )  # the zero of a stage is not exact
+    # The zero of a stage is not exact.
+    assert planned(GOOD.replace("pan_deg: 2", "pan_deg: 13")).remarks == ()
 
 
 def test_angles_that_look_like_radians_are_remarked():
@@ -402,42 +363,36 @@ steps:
 
 
 @pytest.mark.parametrize(
-    ("result", "model", "fault"),
+    ("result", "model", "estimated"),
     [
-        ("fx", "planar", None),
-        ("k3", "joint", None),
-        ("r", "planar", "the last solve does not estimate this result."),
-        ("k3", "spherical", "the last solve does not estimate this result."),
-        ("kb1", "joint", "the last solve does not estimate this result."),
+        ("fx", "planar", True), ("k3", "joint", True), ("r", "planar", False), ("k3", "spherical", False),
+        ("kb1", "joint", False),
     ],
-)
-def test_a_limit_of_a_result_that_the_run_does_not_estimate_is_refused(result, model, fault):
+)  # fmt: skip
+def test_a_limit_of_a_result_that_the_run_does_not_estimate_is_refused(result, model, estimated):
     messages = faults(SOLVED % (result, model, "  - report\n"))
-    assert messages == ([] if fault is None else [f"s.yaml:3:19: limits[0].result: {fault}"])
+    assert (
+        [line.rpartition(": ")[0] for line in messages] == []
+        if estimated
+        else ["s.yaml:3:19: limits[0].result"]
+    )
 
 
 def test_a_limit_of_the_station_counts_too_and_needs_a_result():
     limited = check_document((PLAIN + "limits: [{result: k3, upper: 1}]\n").encode(), "b.yaml", Station)
     with_report = SOLVED % ("fx", "spherical", "  - report\n")
-    assert (
-        "the station limits k3: the last solve does not estimate this result."
-        in faults(with_report, limited)[0]
-    )
-    without = SOLVED % ("fx", "spherical", "")
-    assert any("limits need a solve step and a report step" in fault for fault in faults(without))
+    assert "the station limits k3: " in faults(with_report, limited)[0]
+    assert any("limits need a" in fault for fault in faults(SOLVED % ("fx", "spherical", "")))
 
 
 @pytest.mark.parametrize(
     ("section", "fault_text"),
     [
-        ("{stge: {}}", "simulation.stge: Unknown key. Known are: "),
-        (
-            "{stage: {tilt: {limits: 5}}}",
-            "simulation.stage.tilt.limits: Unknown key. Known are: serial, limit_deg",
-        ),
+        ("{stge: {}}", "simulation.stge: Unknown key"),
+        ("{stage: {tilt: {limits: 5}}}", "simulation.stage.tilt.limits: Unknown key"),
         ("{faults: [{device: pan, fault: no}]}", "simulation.faults[0].fault: "),
-        ("{rehearsal: {room: 20}}", "simulation.rehearsal.room: Unknown key. Known are: "),
-        ("{rehearsal: {lost_share: -1}}", "simulation.rehearsal.lost_share: -1 is negative."),
+        ("{rehearsal: {room: 20}}", "simulation.rehearsal.room: Unknown key"),
+        ("{rehearsal: {lost_share: -1}}", "simulation.rehearsal.lost_share: -1 is"),
         ("{stage: {pan: {limit_deg: 20}}}", ""),
     ],
 )

@@ -46,17 +46,3 @@ def test_every_table_scrolls_by_itself_and_its_headings_say_what_they_head(html)
     ]  # which fits any screen
     assert page.xpath("//th[not(@scope)]") == []
     assert all(head.text_content().strip() for head in page.xpath("//th"))
-
-
-def luminance(colour):
-    def linear(part):
-        share = int(part, 16) / 255
-        return share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4
-
-    r, g, b = (linear(colour[i : i + 2]) for i in (1, 3, 5))
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b
-
-
-def contrast(first, other):
-    high, low = sorted((luminance(first), luminance(other)), reverse=True)
-    return (high + 0.05) / (low + 0.05)

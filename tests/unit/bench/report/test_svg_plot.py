@@ -10,7 +10,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from bench.measure.view_picture import ViewPicture
 from bench.report.contours import outlines
 from bench.report.svg_plot import Key, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, log_ticks, tick_labels, ticks
@@ -23,14 +22,6 @@ def framed(x=None, y=None, words=None, size=(280.0, 190.0), **more):
     picture = Picture(*size, "p", "a plot")
     axes = axes_in(picture, x or Scale(0, 10), y or Scale(0, 1), words or Words(("t",), "x", "y"), **more)
     return axes, picture
-
-
-def views(count, names=None):
-    points = np.random.default_rng(1).uniform(0, 100, (30, 2))
-    return [
-        ViewPicture((names or {}).get(n, f"pose {n}"), None, points, points - 0.1, np.arange(30))
-        for n in range(count)
-    ]
 
 
 @pytest.mark.parametrize(

@@ -109,10 +109,13 @@ def test_a_run_killed_after_any_line_keeps_every_pose_and_repeats_none(reject, t
         cut = Scene(tmp_path, poses=THREE)
         cut.folder = tmp_path / f"cut-{count}"
         shutil.copytree(scene.folder, cut.folder)
-        (cut.folder / "journal.jsonl").write_bytes(b"".join(lines[:count]))
+        (cut.folder / "journal.jsonl").write_bytes(b"".join(lines[:count]) + lines[count][:7])  # and one torn
         assert cut.run().how == "finished", count
         see_each_pose_once(cut)
+        assert cut.data_of(Event.RUN_RESUMED)[0]["torn_bytes"] == 7
         stored = len(re.findall(rb'"event":"capture_stored"', b"".join(lines[:count])))
+        kept, whole = ([data["sha256"] for data in of.data_of(Event.CAPTURE_STORED)] for of in (cut, scene))
+        assert kept[:stored] == whole[:stored]
         assert len(cut.data_of(Event.CAPTURE_STORED)) - stored <= 4 - stored, count
 
 

@@ -4,7 +4,6 @@ import json
 import os
 import threading
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -22,7 +21,6 @@ from bench.record.run_folder import RunFolder
 from bench.record.run_log import RunLog
 from bench.run.control import CONTROL, Command, CommandInbox, refusal, send
 
-RUN = Path("runs/cam 7")
 POSES = {1: "left", 2: "right", 3: "below"}
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 

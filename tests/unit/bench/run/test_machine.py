@@ -86,29 +86,21 @@ def test_intent_is_reported_before_the_work_and_the_outcome_after_it_even_if_it_
     assert machine.state == "lighting"
 
 
-def test_a_state_whose_intent_cannot_be_journaled_is_not_entered():
+@pytest.mark.parametrize(
+    ("refused", "state", "worked"), [("entering", "idle", []), ("left_off", "preflight", [1])]
+)
+def test_a_line_that_cannot_be_journaled_is_an_error_and_a_state_without_its_intent_is_not_entered(
+    monkeypatch, refused, state, worked
+):
+    def full(_told, _data):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Told, refused, full)
     did = []
-
-    class Full(Told):
-        def entering(self, data):
-            raise OSError("disk full")
-
-    machine = RunMachine({"preflight": lambda *_: did.append(1)}, Full())
+    machine = machine_in("idle", {"preflight": lambda *_: did.append(1)})
     with pytest.raises(OSError, match="disk full"):
         machine.fire("preflight")
-    assert machine.state == "idle"
-    assert did == []
-
-
-def test_an_outcome_that_cannot_be_journaled_is_an_error():
-    class Full(Told):
-        def left_off(self, data):
-            raise OSError("disk full")
-
-    machine = RunMachine({}, Full())
-    with pytest.raises(OSError, match="disk full"):
-        machine.fire("preflight")
-    assert machine.state == "preflight"
+    assert (machine.state, did) == (state, worked)
 
 
 def test_the_edges_have_the_triggers_and_no_other():

@@ -13,15 +13,17 @@ from bench.wording import causes as kinds
 from bench.wording.causes import sentence_of
 
 LIGHT = {"waveform": "square", "frequency_hz": 60.0, "duty_percent": 50.0, "low_v": 0.0, "high_v": 5.0}
+SLEPT = (("slewing", "2026-03-01T10:00:00+00:00", 100.0), ("settling", "2026-03-01T10:30:00+00:00", 101.0))
 CAMERA = {"biases": {"bias_diff_off": 0, "bias_fo": 0}, "filters": {"trail": False}}
 
 
+SEEN = {
+    "stars": 600, "rms_px": 0.04, "lit": 700_000, "off": 2.0, "delay_us": 9.0, "duty": 0.5, "light": LIGHT, **CAMERA,
+}  # fmt: skip
+
+
 def _image(run: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "lit_pixels": run["lit"],
-        "events_per_edge_off": run["off"],
-        "first_on_delay_us": run["delay_us"],
-    }
+    return {"lit_pixels": run["lit"], "events_per_edge_off": run["off"], "first_on_delay_us": run["delay_us"]}
 
 
 def causes(
@@ -34,8 +36,7 @@ def causes(
     **seen: Any,
 ):
     """Causes of a run with fx 3345 px, 600 stars a pose, 0.04 px of residuals, 700 000 lit pixels with 2 OFF events an edge."""
-    now = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "off": 2.0, "delay_us": 9.0, "duty": 0.5}
-    now |= {"light": LIGHT, **CAMERA, **seen}
+    now = {**SEEN, **seen}
     names = ("left", "right")
     history = History()
     history.lateness = {"longest_s": longest_s}
@@ -69,27 +70,9 @@ def causes(
 
 def earlier(**changed: Any) -> dict[str, Any]:
     """Results of the last run: as this one, or changed."""
-    then = {
-        "stars": 600,
-        "rms_px": 0.04,
-        "lit": 700_000,
-        "off": 2.0,
-        "delay_us": 9.0,
-        "duty": 0.5,
-        "light": LIGHT,
-        "fx": 3345.0,
-        **CAMERA,
-        **changed,
-    }
-    poses = [
-        {
-            "name": name,
-            "stars": then["stars"],
-            "image": _image(then),
-            "flicker_duty": then["duty"],
-        }
-        for name in ("left", "right")
-    ]
+    then = {**SEEN, "fx": 3345.0, **changed}
+    facts = {"stars": then["stars"], "image": _image(then), "flicker_duty": then["duty"]}
+    poses = [{"name": name, **facts} for name in ("left", "right")]
     return {
         "run": {"id": "run-7"},
         "poses": poses,
@@ -104,56 +87,36 @@ def test_a_run_as_the_last_one_has_no_cause():
 
 
 @pytest.mark.parametrize(
-    ("case", "kind", "words"),
+    ("case", "kind", "numbers"),
     [
-        (
-            {"focal_px": 10300.0},
-            kinds.LENS,
-            "The focal length is 3345 px instead of 10300 px as the station expects",
-        ),
+        ({"focal_px": 10300.0}, kinds.LENS, "3345 px instead of 10300 px"),
         ({"stars": 379, "rms_px": 0.154}, kinds.FEWER, "379 stars a pose instead of 600 as in run run-7"),
-        ({"rms_px": 0.154}, kinds.NOISIER, "the stars scatter by 0.15 px instead of 0.04"),
-        (
-            {"lit": 400_000, "delay_us": None},
-            kinds.DIMMER,
-            "makes 800000 events instead of 1400000 as in run run-7",
-        ),
+        ({"rms_px": 0.154}, kinds.NOISIER, "0.15 px instead of 0.04"),
+        ({"lit": 400_000, "delay_us": None}, kinds.DIMMER, "800000 events instead of 1400000"),
         # Neither later nor as early as before: both are told.
-        ({"lit": 400_000, "delay_us": 11.0}, kinds.DIMMER, "dust or fog, and a dim lamp look the same"),
+        ({"lit": 400_000, "delay_us": 11.0}, kinds.DIMMER, "dim lamp"),
         # As measured in simulations of a third of the lamp's light from the room.
-        (
-            {"lit": 616_000, "off": 1.03, "delay_us": 7.6},
-            kinds.ROOM,
-            "A bright room and a lamp that does not go dark",
-        ),
+        ({"lit": 616_000, "off": 1.03, "delay_us": 7.6}, kinds.ROOM, "bright room"),
         # As measured in simulations of a quarter of the light: the stars are as many, and as good.
-        ({"lit": 600_000, "off": 1.62, "delay_us": 22.0}, kinds.SLOWER, "come 22 us after it turns on"),
+        ({"lit": 600_000, "off": 1.62, "delay_us": 22.0}, kinds.SLOWER, "22 us after"),
         # Of half the light.
-        (
-            {"lit": 661_000, "off": 1.91, "delay_us": 14.0},
-            kinds.SLOWER,
-            "come 14 us after it turns on, instead of 9 as in",
-        ),
-        ({"duty": 0.15}, kinds.LIGHT, "duty by the sync signal was 15 %, and 50 % in run run-7"),
-        (
-            {"light": {**LIGHT, "duty_percent": 15.0}},
-            kinds.LIGHT,
-            "duty was 15 %, and 50 % in run run-7",
-        ),
+        ({"lit": 661_000, "off": 1.91, "delay_us": 14.0}, kinds.SLOWER, "14 us after it turns on, instead of 9"),
+        ({"duty": 0.15}, kinds.LIGHT, "sync signal was 15 %, and 50 %"),
+        ({"light": {**LIGHT, "duty_percent": 15.0}}, kinds.LIGHT, "duty was 15 %, and 50 %"),
         ({"light": {**LIGHT, "high_v": 2.0}}, kinds.LIGHT, "level was 2 V, and 5 V"),
-        (
-            {"biases": {"bias_diff_off": 60, "bias_fo": 0}, "lit": 400_000},
-            kinds.CAMERA,
-            "bias_diff_off was 60, and 0 in run run-7",
-        ),
-        ({"filters": {"trail": True}}, kinds.CAMERA, "trail was on, and off in run run-7"),
-        ({"longest_s": 60.0}, kinds.ASLEEP, "This computer stood still for 60 s"),
+        ({"biases": {"bias_diff_off": 60, "bias_fo": 0}, "lit": 400_000}, kinds.CAMERA, "bias_diff_off was 60, and 0"),
+        ({"filters": {"trail": True}}, kinds.CAMERA, "trail was on, and off"),
+        ({"longest_s": 60.0}, kinds.ASLEEP, "60 s"),
+        ({"states": SLEPT}, kinds.ASLEEP, "1799 s"),
+        # What one cause explains is not a cause of its own.
+        ({"focal_px": 5100.0, "stars": 300, "lit": 300_000}, kinds.LENS, "5100 px"),
+        ({"light": {**LIGHT, "high_v": 0.5}, "stars": 300, "lit": 300_000}, kinds.LIGHT, "0.5 V"),
     ],
-)
-def test_each_is_told_with_both_numbers(case, kind, words):
+)  # fmt: skip
+def test_each_is_told_with_both_numbers(case, kind, numbers):
     (cause,) = causes(**case)
     assert cause.kind == kind
-    assert words in sentence_of(cause)
+    assert numbers in sentence_of(cause)
 
 
 def test_a_sine_has_no_delay_and_later_events_of_another_waveform_are_not_compared():
@@ -169,16 +132,6 @@ def test_earlier_events_are_no_sign_of_a_weak_image():
 def test_the_most_probable_cause_is_first():
     found_causes = causes(focal_px=10300.0, light={**LIGHT, "high_v": 2.0})
     assert [cause.kind for cause in found_causes] == [kinds.LENS, kinds.LIGHT]
-
-
-def test_another_lens_explains_another_number_of_stars_and_another_light():
-    (cause,) = causes(focal_px=5100.0, stars=300, lit=300_000)
-    assert cause.kind == kinds.LENS
-
-
-def test_another_level_of_the_light_explains_a_weak_image():
-    (cause,) = causes(light={**LIGHT, "high_v": 0.5}, stars=300, lit=300_000)
-    assert cause.kind == kinds.LIGHT
 
 
 def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
@@ -201,15 +154,6 @@ def test_the_first_run_of_a_bench_has_what_its_station_expects(monkeypatch, seen
     found_causes = causes(first=True, **seen)
     assert [cause.kind for cause in found_causes] == [kind] * bool(kind)
     assert all(words in sentence_of(cause) for cause in found_causes)
-
-
-SLEPT = (("slewing", "2026-03-01T10:00:00+00:00", 100.0), ("settling", "2026-03-01T10:30:00+00:00", 101.0))
-
-
-def test_a_computer_whose_clock_stood_still_while_it_slept_is_told():
-    (cause,) = causes(states=SLEPT)
-    assert cause.kind == kinds.ASLEEP
-    assert "stood still for 1799 s" in sentence_of(cause)
 
 
 @pytest.mark.parametrize(

@@ -33,126 +33,60 @@ def with_stage(stage: str) -> str:
 
 def test_every_shipped_station_reads_without_a_fault():
     shipped = sorted(path.stem for path in SHIPPED_STATIONS.glob("*.yaml"))
-    examples = [
-        "example_evk4",
-        "example_network",
-        "example_thorlabs",
-        "example_turntable",
-    ]
+    examples = ["example_evk4", "example_network", "example_thorlabs", "example_turntable"]
     simulated = ["simulated", "simulated_frames", "simulated_ideal", "simulated_unaligned"]
     assert shipped == [*examples, *simulated]
     assert [load_station(name).value.is_simulated for name in shipped] == [False] * 4 + [True] * 4
 
 
+SCALE = "microsteps_per_deg: 6400\n      limits_deg: [-15"
+
+
 @pytest.mark.parametrize(
-    ("old", "new", "fault"),
+    ("old", "new", "place", "fact"),
     [
-        (
-            "driver: scpi",
-            "driver: scpy",
-            "light.driver: must be one of 'scpi', 'gardasoft', 'text' (got 'scpy').",
-        ),
-        (
-            "driver: simulated_evk4",
-            "driver: evk5",
-            "camera.driver: must be one of 'simulated_evk4', 'metavision', 'neuromorphic_evk4', 'recorded', 'opencv', 'pictures' (got",
-        ),
-        ("sim:light", "sim:lamp", "light.port: no such simulated device; known: sim:gimbal, sim:gimbal-pan,"),
-        ("    pan:", "    yaw:", "stage.axes.yaw: must be 'pan', 'tilt' or 'roll' (got 'yaw')."),
-        ("[-15, 15]", "[15, -15]", "stage.axes.pan.limits_deg: the lower limit must be below the upper one."),
-        (
-            "[-15, 15]",
-            "[5, 15]",
-            "stage.axes.pan.limits_deg: 0 degrees must be within the limits: the stage is parked there.",
-        ),
-        ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]: this key is required, but it is missing."),
-        ("device: 2", "device: 1", "stage.axes: two axes have the same device and axis."),
-        (
-            "microsteps_per_deg: 6400\n      limits_deg: [-15",
-            "microsteps_per_deg: 0\n      limits_deg: [-15",
-            "stage.axes.pan.microsteps_per_deg: a scale of 0 moves nothing.",
-        ),
-        (
-            "simulation: {}",
-            "simulation: {}\ntarget: {pitch_mm: 0.004}",
-            "target.pitch_mm: must be from 0.05 to 500 mm (got '0.004').",
-        ),
-        ("high_v: 5", "high_v: 0", "light: low_v must be below high_v."),
-        (
-            "serial: SG0042",
-            "frequency_range_hz: [9, 3]",
-            "light: frequency_range_hz must be [lowest, highest].",
-        ),
-        (
-            "lens: ",
-            "biases: {bias_fo: 3000}\n  lens: ",
-            "camera.biases.bias_fo: must be 2047 or less (got '3000').",
-        ),
-        (
-            "lens: ",
-            "biases: {bias_diff: 1}\n  lens: ",
-            "camera.biases.bias_diff: unknown key. Did you mean 'bias_diff_on'?",
-        ),
-        ("simulation: {}", "simulation: yes", "simulation: must be a mapping (key: value)"),
-        (
-            "sim:light",
-            "spy:///dev/null?file=notes.txt",
-            "light.port: a port cannot be a URL of the kind spy://. Name a device file, socket://host:port or",
-        ),
-        (
-            "speed_deg_s: 40",
-            "speed_deg_s: 1e-300",
-            "speed_deg_s: must be from 0.001 to 1000 deg/s (got '1e-300').",
-        ),
-        (
-            "acceleration_deg_s2: 200",
-            "acceleration_deg_s2: 1e-300",
-            "acceleration_deg_s2: must be from 0.001 to 100000 deg/s^2 (got '1e-300').",
-        ),
-        (
-            "microsteps_per_deg: 6400\n      limits_deg: [-15",
-            "microsteps_per_deg: -1e-300\n      limits_deg: [-15",
-            "microsteps_per_deg: must be from 0.01 to 1e+09 counts/deg, positive or negative (got '-1e-300').",
-        ),
-        (
-            "focal_px: 3300",
-            "focal_px: 1e-308",
-            "expected.focal_px: must be from 10 to 1e+06 px (got '1e-308').",
-        ),
+        ("driver: scpi", "driver: scpy", "light.driver", "'scpi', 'gardasoft', 'text' (got 'scpy')"),
+        ("driver: simulated_evk4", "driver: evk5", "camera.driver", "'simulated_evk4', 'metavision'"),
+        ("sim:light", "sim:lamp", "light.port", "sim:gimbal, sim:gimbal-pan"),
+        ("    pan:", "    yaw:", "stage.axes.yaw", "'pan', 'tilt' or 'roll' (got 'yaw')"),
+        ("[-15, 15]", "[15, -15]", "stage.axes.pan.limits_deg", "lower limit"),
+        ("[-15, 15]", "[5, 15]", "stage.axes.pan.limits_deg", "0 degrees"),
+        ("[-15, 15]", "[-15]", "stage.axes.pan.limits_deg[1]", "missing"),
+        ("device: 2", "device: 1", "stage.axes", "same device and axis"),
+        (SCALE, SCALE.replace("6400", "0"), "stage.axes.pan.microsteps_per_deg", "scale of 0"),
+        ("simulation: {}", "simulation: {}\ntarget: {pitch_mm: 0.004}", "target.pitch_mm", "0.05 to 500 mm"),
+        ("high_v: 5", "high_v: 0", "light", "low_v must be below high_v"),
+        ("serial: SG0042", "frequency_range_hz: [9, 3]", "light", "frequency_range_hz must be [lowest,"),
+        ("lens: ", "biases: {bias_fo: 3000}\n  lens: ", "camera.biases.bias_fo", "2047 or less (got '3000')"),
+        ("lens: ", "biases: {bias_diff: 1}\n  lens: ", "camera.biases.bias_diff", "'bias_diff_on'"),
+        ("simulation: {}", "simulation: yes", "simulation", "mapping"),
+        ("sim:light", "spy:///dev/null?file=notes.txt", "light.port", "kind spy://"),
+        ("speed_deg_s: 40", "speed_deg_s: 1e-300", "speed_deg_s", "0.001 to 1000 deg/s (got '1e-300')"),
+        ("acceleration_deg_s2: 200", "acceleration_deg_s2: 1e-300", "acceleration_deg_s2", "0.001 to 100000 deg/s^2"),
+        (SCALE, SCALE.replace("6400", "-1e-300"), "microsteps_per_deg", "0.01 to 1e+09 counts/deg"),
+        ("focal_px: 3300", "focal_px: 1e-308", "expected.focal_px", "10 to 1e+06 px (got '1e-308')"),
     ],
     ids=lambda text: text[:25].strip(),
-)
-def test_what_makes_no_sense_is_refused_with_what_would(old, new, fault):
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_with_what_would(old, new, place, fact):
     messages = faults(changed(old, new))
-    assert any(fault in line for line in messages), messages
+    assert any(f"{place}: " in line and fact in line for line in messages), messages
 
 
 @pytest.mark.parametrize(
-    ("target", "fault"),
+    ("target", "fact"),
     [
-        ("{segments: 6}", "target: no such target can be printed: A star has 6 segments"),
-        (
-            "stars on chrome",
-            "target: a sentence does not describe the pattern. Write it as a key of its own, target: {description: ...}",
-        ),
-        (
-            "{tag_family: 36h12}",
-            "target: no such target can be printed: Tag family '36h12' is unknown; known are 36h11, 36h10, 25h9, 16h5.",
-        ),
-        (
-            "{drawing: {size_mm: [200, 300]}}",
-            "target: the pattern does not fit: drawing.size_mm must be at least [200.694, 289].",
-        ),
+        ("{segments: 6}", "6 segments"),
+        ("stars on chrome", "target: {description: ...}"),
+        ("{tag_family: 36h12}", "36h11, 36h10, 25h9, 16h5"),
+        ("{drawing: {size_mm: [200, 300]}}", "drawing.size_mm must be at least [200.694, 289]"),
         ("{squares: [1000000, 1000000]}", "target.squares[0]: must be from 2 to 10000 (got '1000000')."),
-        (
-            "{squares: [1000, 1000]}",
-            "target: no such target can be printed: 1000 x 1000 squares are more than 200000.",
-        ),
+        ("{squares: [1000, 1000]}", "1000 x 1000 squares are more than 200000"),
     ],
 )
-def test_a_target_that_cannot_be_is_refused(target, fault):
+def test_a_target_that_cannot_be_is_refused(target, fact):
     messages = faults(changed("simulation: {}", f"target: {target}\nsimulation: {{}}"))
-    assert any(fault in line for line in messages), messages
+    assert any(": target" in line and fact in line for line in messages), messages
 
 
 def test_simulated_ports_are_refused_where_nothing_is_simulated():
@@ -198,12 +132,8 @@ def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
 
 def test_a_run_with_the_simulated_camera_of_another_process_counts_as_simulated():
     text = changed("simulation: {}\n", "")
-    for port, elsewhere in {
-        "sim:gimbal": "/dev/a",
-        "sim:light": "/dev/b",
-        "sim:camera": "127.0.0.1:5",
-    }.items():
-        text = text.replace(port, elsewhere)
+    for port, elsewhere in (("gimbal", "/dev/a"), ("light", "/dev/b"), ("camera", "127.0.0.1:5")):
+        text = text.replace(f"sim:{port}", elsewhere)
     assert check_document(text.encode(), "b", Station).value.is_simulated
 
 

@@ -87,11 +87,7 @@ def test_the_same_station_gives_the_same_bytes_in_another_process(ending):
     ("change", "name", "message"),
     [
         ({"serial": "Ä7"}, "x.svg", "letters that cannot be drawn: Ä"),
-        (
-            {"drawing": {"size_mm": (48, 54)}},
-            "x.svg",
-            r"margin is too narrow .* Give at least \[58.8, 64.8\]",
-        ),
+        ({"drawing": {"size_mm": (48, 54)}}, "x.svg", r"at least \[58.8, 64.8\]"),
         ({"drawing": {"scale_bar_mm": 400}}, "x.svg", "longer than the pattern. Give at most"),
         ({}, "x.png", r"ends in '\.png'\. End the name in \.svg"),
         ({}, "x", "a name without an ending"),
@@ -127,18 +123,14 @@ def test_the_command_writes_a_new_file_and_never_over_an_old_one(tmp_path):
 @pytest.mark.parametrize(
     ("change", "focal_px", "warning_text"),
     [
-        ({}, 12_000.0, "0 stars in view are fewer than a recording needs"),
-        ({}, 6000.0, "stars in view are few for poses at the edge"),
-        (
-            {},
-            500.0,
-            "A segment of a star is 1.2 px wide: hardly any star is found. Use a pitch of at least 7.15 mm",
-        ),
-        ({}, 650.0, "The tag is 41 px wide: too small to be read."),
-        ({}, 6500.0, "more than half of the image's height"),
-        ({"tag_family": "16h5"}, 3300.0, "Tags of family 16h5 have few bits"),
-        ({"segments": 20}, 3300.0, "With 20 segments, stars may not be found while the frame cuts the tag."),
-        ({"squares": (20, 20), "tag_square": (8, 8)}, 3300.0, "The target ends 8.5 degrees from the tag"),
+        ({}, 12_000.0, "0 stars in view"),
+        ({}, 6000.0, "few for poses at the edge"),
+        ({}, 500.0, "at least 7.15 mm"),
+        ({}, 650.0, "41 px wide"),
+        ({}, 6500.0, "half of the image's height"),
+        ({"tag_family": "16h5"}, 3300.0, "family 16h5"),
+        ({"segments": 20}, 3300.0, "20 segments"),
+        ({"squares": (20, 20), "tag_square": (8, 8)}, 3300.0, "ends 8.5 degrees from"),
     ],
 )
 def test_what_speaks_against_a_target_is_said(change, focal_px, warning_text):
