@@ -17,6 +17,7 @@ from bench.solve.offline_options import OfflineOptions
 from bench.solve.sources import options_data, options_of_data
 from calib.boards.board import Board
 from calib.engine import calibrate
+from tests.unit.bench.evidence.attack_steps import edit
 from tests.unit.bench.evidence.resealed import Forger, copied, kinds
 
 pytestmark = pytest.mark.usefixtures("calibrated_once")
@@ -122,19 +123,12 @@ def in_json(name, change):
     return attack
 
 
-def edit(name, old, new):
-    return lambda f: f.replace(name, old, new)
-
-
 ATTACKS = {
     "number": (in_json("results.json", lambda r: r["calibration"]["camera"].update(fx=1.0)), "results.json"),
     "rms of a view": (in_json("results.json", lambda r: r["calibration"]["views"][0].update(rms_px=0.1)), "results.json"),
     "no recalculation": (in_json("results.json", lambda r: r["run"].update(offline=False)), "results.json"),
     "no statement": (in_json("results.json", lambda r: r["run"].update(statement="")), "results.json"),
-    "other key named": (
-        in_json("results.json", lambda r: r["run"]["sealed_by"].update(fingerprint="SHA256:x")),
-        "results.json",
-    ),
+    "other key named": (in_json("results.json", lambda r: r["run"]["sealed_by"].update(fingerprint="x")), "results.json"),
     "other source": (in_json("results.json", lambda r: r["sources"][0].update(sha256="0" * 64)), "results.json"),
     "source left out": (in_json("sources.json", lambda s: s["sources"].pop()), "results.json"),
     "other camera": (in_json("sources.json", lambda s: s.update(camera_name="other")), "exports/opencv.yaml"),

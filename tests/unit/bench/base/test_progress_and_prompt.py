@@ -12,6 +12,8 @@ from waiting import wait_until
 from bench.base.clock import Aborted, BenchClock, VirtualClock
 from bench.base.progress import Progress, Reply, ask
 
+NIGHT = datetime(2026, 3, 1, 20, tzinfo=UTC)
+
 
 class Terminal(io.StringIO):
     def isatty(self):
@@ -62,13 +64,6 @@ def test_on_a_terminal_of_any_width_it_is_one_line_that_names_the_state(monkeypa
     assert any("─" in line for line in lines) is (columns >= 60)
 
 
-class Night(VirtualClock):
-    """A clock on which nothing takes time."""
-
-    def __init__(self):
-        super().__init__(datetime(2026, 3, 1, 20, tzinfo=UTC))
-
-
 def test_a_shielded_clock_is_not_interrupted():
     clock = BenchClock()
     clock.request_stop("first reason")
@@ -82,15 +77,8 @@ def test_a_shielded_clock_is_not_interrupted():
 
 def asked(terminal, *, default="abort", timeout_s=60.0, clock=None, say=lambda _: None, **more):
     """Ask at a terminal; return the word of the reply, and who gave it."""
-    clock = clock or BenchClock()
-    asked = {
-        "default": default,
-        "timeout_s": timeout_s,
-        "clock": clock,
-        "say": say,
-        "folder": Path("runs/cam 7"),
-    }
-    reply = ask("Go?", **asked, terminal=terminal, **more)
+    more |= {"clock": clock or BenchClock(), "say": say, "folder": Path("runs/cam 7"), "terminal": terminal}
+    reply = ask("Go?", default=default, timeout_s=timeout_s, **more)
     return reply.word, reply.by
 
 
@@ -103,14 +91,14 @@ def selected(monkeypatch):
 
 
 def test_where_nobody_is_there_the_default_counts_after_the_time_out():
-    messages, clock = [], Night()
+    messages, clock = [], VirtualClock(NIGHT)
     assert asked(io.StringIO(), timeout_s=600, clock=clock, say=messages.append) == ("abort", "time-out")
     assert "Go?" in messages[0]
     assert 600 <= clock.monotonic() < 601
 
 
 def test_an_answer_from_another_terminal_counts_at_once():
-    messages, clock = [], Night()
+    messages, clock = [], VirtualClock(NIGHT)
 
     def elsewhere():
         return Reply("continue", "ada") if clock.monotonic() > 30 else None
@@ -172,7 +160,7 @@ def test_what_was_typed_before_the_question_does_not_count():
 
 def test_without_standard_input_the_default_counts(monkeypatch):
     monkeypatch.setattr("sys.stdin", None)
-    assert asked(None, timeout_s=1, clock=Night()) == ("abort", "time-out")
+    assert asked(None, timeout_s=1, clock=VirtualClock(NIGHT)) == ("abort", "time-out")
 
 
 @pytest.mark.usefixtures("selected")
@@ -184,14 +172,20 @@ def test_a_stop_ends_the_question():
 
 
 class Unplugged(io.StringIO):
+    tried = 0
+
     def write(self, text):
+        self.tried += 1
         raise OSError(5, "Input/output error")
 
 
 def test_a_terminal_that_has_gone_does_not_end_the_run():
-    with Progress(total_s=5.0, poses=1, stream=Unplugged()) as progress:
+    gone = Unplugged()
+    with Progress(total_s=5.0, poses=1, stream=gone) as progress:
         progress.show("recording", pose=1)
         progress.say("still here")
+    assert gone.tried
+    assert gone.getvalue() == ""
 
 
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])

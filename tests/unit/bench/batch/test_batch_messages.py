@@ -15,6 +15,7 @@ from bench.record.journal import Journal
 from bench.record.summaries import newest_place
 from bench.run.messages.outbox import Message, Outbox
 from bench.stations.station import load_station
+from tests.unit.bench.report.test_batch_page import item, summary
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 MAIL = "\nmessages: {mail: {host: 127.0.0.1, port: 1, security: none, sender: b@lab.example, to: [a@lab.example]}%s}\n"
@@ -85,38 +86,12 @@ def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messa
     assert "safe" not in delivery.message.text
 
 
-def item(key, number=None, head=None):
-    return {
-        "item": key,
-        "how": "finished",
-        "why": "",
-        "attempts": 1,
-        "ledger_number": number,
-        "ledger_head": head,
-        "conformity": None,
-        "goals_missed": [],
-    }
-
-
-def summary(how, items, cameras=(), charts=None):
-    return {
-        "queue": "Night",
-        "how": how,
-        "why": "",
-        "rehearsal": False,
-        "simulated": False,
-        "items": items,
-        "cameras": cameras,
-        "charts": charts or {"groups": []},
-    }
-
-
 def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, capsys):
     begun = tmp_path / "cam 2" / "runs" / "cam-001"
     begun.mkdir(parents=True)
     (begun / "journal.jsonl").touch()
-    items = [{**item(name), "how": "failed"} for name in ("cam-001", "never-begun")]
-    show_summary(tmp_path / "cam 2", summary("failed", [*items, item("cam-003")]))
+    items = [item(name, "failed") for name in ("cam-001", "never-begun")]
+    show_summary(tmp_path / "cam 2", summary(*items, item("cam-003"), how="failed"))
     printed = capsys.readouterr().out
     assert f"  starbench resume '{begun}'\n" in printed
     assert printed.count("resume") == 1
@@ -129,7 +104,7 @@ def test_the_end_of_a_batch_names_a_drift_as_the_control_charts_judge_it(tmp_pat
         return {"title": title, "state": "in control", "verdict": f"{title} judged.", "parameters": [chart]}
 
     charts = {"groups": [group("Camera 1", seen=True), group("Camera 2", seen=False)]}
-    show_summary(tmp_path, summary("finished", [item("cam-001")], charts=charts))
+    show_summary(tmp_path, summary(item("cam-001"), charts=charts))
     printed = capsys.readouterr().out
     assert "Camera 1: Camera 1 judged." in printed
     assert "Camera 2" not in printed
@@ -141,20 +116,19 @@ def test_the_end_of_a_batch_names_a_drift_as_the_control_charts_judge_it(tmp_pat
 )
 def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, occasion):
     messages.add_recipients([station(tmp_path)])
-    messages.batch_ended(summary(how, [item("cam-001")]), tmp_path, "b" * 64)
+    messages.batch_ended(summary(item("cam-001"), how=how), tmp_path, "b" * 64)
     ((_, delivery),) = outbox.deliveries()
-    assert (delivery.message.occasion, delivery.message.subject) == (
-        occasion,
-        f"Starbench: batch Night {how}",
-    )
+    assert delivery.message.occasion == occasion
+    assert delivery.message.subject == f"Starbench: batch Night {how}"
     assert re.search("cam-001 +finished +1 attempt", delivery.message.text)
 
 
 def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
-    items = [item("c", 10, "b" * 64), item("b", 9, "a" * 64), item("a")]
+    places = {"c": (10, "b" * 64), "b": (9, "a" * 64), "a": (None, None)}
+    items = [item(key, ledger_number=number, ledger_head=head) for key, (number, head) in places.items()]
     assert newest_place(items[2:]) is None
     messages.add_recipients([station(tmp_path)])
-    messages.batch_ended(summary("finished", items), tmp_path, "c" * 64)
+    messages.batch_ended(summary(*items), tmp_path, "c" * 64)
     ((_, delivery),) = outbox.deliveries()
     assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text
 

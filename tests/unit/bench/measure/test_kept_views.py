@@ -140,11 +140,8 @@ def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
     find = Finder(made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     (entry,) = kept.folder.glob("*/*.view")
-    assert [path.stat().st_mode & 0o777 for path in (kept.folder, entry.parent, entry)] == [
-        0o700,
-        0o700,
-        0o600,
-    ]
+    modes = [path.stat().st_mode & 0o777 for path in (kept.folder, entry.parent, entry)]
+    assert modes == [0o700, 0o700, 0o600]
     kept.folder.chmod(0o770)
     open_to_others = KeptViews(kept.folder)
     open_to_others.view(recording, OPTIONS, find)
@@ -222,11 +219,7 @@ def test_the_version_of_the_detector_covers_all_that_finds_stars():
         "bench", "calib", "drivers", "sequences", "simulators", exclude_type_checking_imports=True
     )
     hashed = tuple(name.removesuffix(".py").replace("/", ".") for name in DETECTOR_SOURCES)
-    for detector in (
-        "bench.measure.measure",
-        "calib.boards.detect",
-        "drivers.camera.formats",
-    ):
+    for detector in ("bench.measure.measure", "calib.boards.detect", "drivers.camera.formats"):
         for module in graph.find_upstream_modules(detector):
             assert module.startswith((*hashed, *without_influence)), f"{detector} imports {module}"
 

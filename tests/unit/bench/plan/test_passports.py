@@ -83,14 +83,8 @@ def texts(faults) -> list[str]:
 def test_one_direction_is_enough_if_the_passport_holds_the_centre(bench, tmp_path):
     assert "only one direction is recorded" in texts(bench(more="").faults)[0]
     write(tmp_path / "a" / "p.json", collimator="C-1")
-    assert (
-        "A certificate of its focal length is not enough."
-        in texts(bench("{passport: p.json}", more="").faults)[0]
-    )
-    whole = Passport(
-        ("x", "y", "r"), np.array([100.0, 140, 255]), np.eye(3), conditions={"collimator": "C-1"}
-    )
-    (tmp_path / "a" / "p.json").write_text(json.dumps(whole.to_dict()))
+    assert "only one direction is recorded" in texts(bench("{passport: p.json}", more="").faults)[0]
+    (tmp_path / "a" / "p.json").write_text(json.dumps(passport(np.eye(3)).to_dict()))
     assert bench("{passport: p.json}", more="").faults == ()
     assert bench("{passport: none}", "serial: C-1, passport: p.json", more="").faults != ()
 
@@ -138,6 +132,10 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
         assert "method of reference" in str(bench(f"{{model: {model}, passport: p.json}}").faults)
 
 
+RADIUS = Passport.of_radius(255.0, 0.05).to_dict()
+WOBBLE = {"names": ["r", "wobble"], "values": [255, 1], "covariance": [[1, 0], [0, 1]]}
+
+
 @pytest.mark.parametrize(
     ("content", "fault_text"),
     [
@@ -147,18 +145,8 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
         ("\xff", "The file is not a passport"),
         ('{"schema": "starbench/results/1"}', "schema is 'starbench/results/1'"),
         ("1" * 1_000_001, "more than 1000000 bytes"),
-        (
-            json.dumps(Passport.of_radius(255.0, 0.05).to_dict() | {"values": [-255.0]}),
-            "radius r is not positive",
-        ),
-        (
-            json.dumps(
-                Passport.of_radius(255, 0.1).to_dict()
-                | {"names": ["r", "wobble"], "values": [255, 1], "covariance": [[1, 0], [0, 1]]}
-                | {"reference": [1, 2, 3]}
-            ),
-            "names.1 is 'wobble'",
-        ),
+        (json.dumps(RADIUS | {"values": [-255.0]}), "radius r is not positive"),
+        (json.dumps(RADIUS | WOBBLE | {"reference": [1, 2, 3]}), "names.1 is 'wobble'"),
     ],
 )
 def test_a_file_that_is_no_passport_is_a_fault_where_it_is_named(bench, tmp_path, content, fault_text):
@@ -174,7 +162,7 @@ def test_a_file_that_is_no_passport_is_a_fault_where_it_is_named(bench, tmp_path
 def test_a_passport_of_another_collimator_is_a_fault_unless_it_is_accepted(bench, tmp_path):
     write(tmp_path / "a" / "p.json", collimator="C-2")
     (fault,) = bench("{passport: p.json}").faults
-    assert "the passport belongs to the collimator C-2; the station's is C-1" in fault.message
+    assert all(serial in fault.message for serial in ("C-1", "C-2"))
     accepted = bench("{passport: p.json, other_collimator: accept}")
     assert accepted.faults == ()
     assert "belongs to the collimator C-2" in str(accepted.remarks)
@@ -184,9 +172,8 @@ def test_a_passport_of_another_collimator_is_a_fault_unless_it_is_accepted(bench
 def test_what_speaks_against_a_passport_is_remarked(bench, tmp_path, key):
     write(tmp_path / "a" / "p.json", temperature_c=20, valid_until="2026-05-31")
     remarks = str(bench("{passport: p.json}", "serial: C-1, temperature_c: 26").remarks)
-    assert "expired on 2026-05-31; the run is of 2026-06-01" in remarks
-    assert "holds at 20 °C; the bench is at 26 °C, 6 °C apart" in remarks
-    assert "does not name its collimator" in remarks
+    for fact in ("expired on 2026-05-31", "26 °C, 6 °C apart", "does not name its collimator"):
+        assert fact in remarks
     unknown = str(bench("{passport: p.json}", today=date(2026, 5, 31)).remarks)
     assert "the station does not state the temperature" in unknown
     assert "expired" not in unknown
@@ -370,7 +357,5 @@ def test_a_passport_without_a_seal_gets_one_in_a_new_file(tmp_path, key):
 
 
 def test_a_passport_names_the_seals_of_its_runs(sealed_once, tmp_path):
-    import hashlib
-
     seals = seals_of([sealed_once, tmp_path, tmp_path / "points.csv"])
     assert seals == {"sealed": hashlib.sha256((sealed_once / "SHA256SUMS").read_bytes()).hexdigest()}

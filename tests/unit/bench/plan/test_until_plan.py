@@ -43,9 +43,8 @@ def test_it_is_described_in_two_lines_with_the_longest_time(plan):
     assert "choose and record up to 22 poses, at most 20 min" in text
     assert "until U(fx) <= 2.5 px, U at the corners <= 1.5 px" in text
     assert text.splitlines()[-1].startswith("3 to 25 poses, at most about ")
-    assert (
-        len(re.findall(r"^ +\d+  [a-z]", text, re.MULTILINE)) < 20
-    )  # a line for each step, and two for all rounds
+    # A line for each step, and two for all rounds.
+    assert len(re.findall(r"^ +\d+  [a-z]", text, re.MULTILINE)) < 20
 
 
 def test_fewer_recordings_or_minutes_make_it_shorter_and_smaller(tmp_path):
@@ -89,9 +88,8 @@ def test_it_cannot_begin_from_nothing_without_expectations(tmp_path):
     station = tmp_path / "b.yaml"
     station.write_text("\n".join(kept) + "\n")
     assert not planned(tmp_path, "{expanded_fx_px: 1}").faults
-    messages = {fault.message for fault in planned(tmp_path, "{expanded_fx_px: 1}", station=station).faults}
-    (message,) = messages
-    assert "record at least 2 poses before (start:), or add an expected section" in message
+    (message,) = {fault.message for fault in planned(tmp_path, "{expanded_fx_px: 1}", station=station).faults}
+    assert "at least 2 poses" in message
 
 
 def test_a_start_outside_the_limits_and_recordings_in_the_dark_are_refused(tmp_path):
@@ -177,10 +175,7 @@ def plan_of(tmp_path, more="", sequence="three_pose", **words):
         ("\n# tells https://hooks.slack.com/services/T/B/x\n", "a secret address of Slack"),
         (f"\n# the camera is rtsp://admin:{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
         (f"\n# the camera is https://x%3A{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
-        (
-            f"\noperator: Ada, https://lab.example/?token={SECRET}\n",
-            "operator: this is a URL with a token",
-        ),
+        (f"\noperator: Ada, https://lab.example/?token={SECRET}\n", "operator: this is a URL with a token"),
     ],
 )
 def test_a_station_with_a_credential_is_refused_at_its_line(tmp_path, more, says):

@@ -29,15 +29,12 @@ from bench.record.run_log import RunLog
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
 
+ATTEMPTS = [(2, 1, False), (1, 1, True), (2, 2, True), (1, 2, True), (3, 1, None)]
+
+
 def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_path):
     with Journal.create(tmp_path / "j", **CLOCKS) as journal:
-        for pose, attempt, accepted in (
-            (2, 1, False),
-            (1, 1, True),
-            (2, 2, True),
-            (1, 2, True),
-            (3, 1, None),
-        ):
+        for pose, attempt, accepted in ATTEMPTS:
             which = {"pose": pose, "attempt": attempt}
             name = f"{pose}-{attempt}"
             journal.append_unsynced(Event.CAPTURE_STORED, pose_name=f"p{pose}", capture=name, **which)

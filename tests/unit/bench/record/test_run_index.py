@@ -45,21 +45,12 @@ def test_a_row_is_what_the_journal_says(index, three):
     (run,), faults = index.runs(three[1:2])
     assert faults == []
     assert (run.id, run.sequence, run.station, run.camera) == ("a", "Three poses", "Bench 1", "00050423")
-    assert (run.how, run.sealed, run.accepted, run.deviations, run.simulated) == (
-        "finished",
-        False,
-        2,
-        1,
-        True,
-    )
+    assert (run.how, run.sealed, run.simulated) == ("finished", False, True)
+    assert (run.accepted, run.deviations) == (2, 1)
     assert (run.temperature_c, run.model, run.rms_px) == (41.5, "radial", 0.081)
     assert run.parameters == {"fx": (3345.0, 0.5, 2.2, 0.3), "r": (255.0, 0.1, 2.4, 0.0)}
-    assert run.to_dict()["parameters"]["fx"] == {
-        "value": 3345.0,
-        "sigma": 0.5,
-        "coverage_factor": 2.2,
-        "expanded": 1.1,
-    }
+    stated = {"value": 3345.0, "sigma": 0.5, "coverage_factor": 2.2, "expanded": 1.1}
+    assert run.to_dict()["parameters"]["fx"] == stated
 
 
 def test_runs_come_oldest_first_and_as_chosen(index, three):

@@ -86,36 +86,22 @@ def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
     assert "chosen" not in decision
 
 
-def cut_and_go_on(folder, whole, cut):
-    """The run of a copy whose journal ends after so many lines."""
-    scene = until_scene(folder / f"cut-{cut}", NEVER)
-    shutil.copytree(whole.folder, scene.folder)
-    lines = (whole.folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    (scene.folder / "journal.jsonl").write_bytes(b"".join(lines[:cut]))
-    assert scene.run().how == "finished"
-    assert decisions(scene)[0] == decisions(whole)[0], cut
-    assert [decision["step"] for decision in decisions(scene)] == [
-        decision["step"] for decision in decisions(whole)
-    ], cut
-    assert angles(scene) == angles(whole), cut  # a recording made again has other noise, but not another pose
-
-
-def lines_of_a_round(whole):
-    """Numbers of lines after which a round begins, its pose is decided and the stage is about to move, and the next."""
-    states = [
-        place
-        for place, (event, data) in enumerate(whole.events())
-        if event == Event.ENTERING and data["state"] == "choosing"
-    ]
-    return range(states[0] + 1, states[1] + 3)
-
-
 def test_cut_off_before_and_after_its_decision_it_goes_on_with_the_same_poses(tmp_path):
     whole = until_scene(tmp_path / "whole", NEVER)
     whole.run()
-    begin = lines_of_a_round(whole)[0]
+    lines = (whole.folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    begin = 1 + [data.get("state") for _, data in whole.events()].index("choosing")
     for cut in (begin, begin + 1, begin + 4):  # no decision yet; decided; the stage moves
-        cut_and_go_on(tmp_path, whole, cut)
+        scene = until_scene(tmp_path / f"cut-{cut}", NEVER)
+        shutil.copytree(whole.folder, scene.folder)
+        (scene.folder / "journal.jsonl").write_bytes(b"".join(lines[:cut]))
+        assert scene.run().how == "finished"
+        assert decisions(scene)[0] == decisions(whole)[0], cut
+        steps, due = ([decision["step"] for decision in decisions(of)] for of in (scene, whole))
+        assert steps == due, cut
+        assert angles(scene) == angles(whole), (
+            cut
+        )  # a recording made again has other noise, but not another pose
 
 
 def test_a_pose_that_fails_is_left_behind_and_not_chosen_again(tmp_path):

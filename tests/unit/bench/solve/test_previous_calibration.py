@@ -89,6 +89,9 @@ def in_calibration(**facts):
     return {"change": lambda results: results["calibration"].update(facts)}
 
 
+WITH_LENS = {"change": lambda results: results["devices"]["camera"].update(lens="50 mm")}
+
+
 @pytest.mark.parametrize(
     ("run", "spoil", "reason"),
     [
@@ -98,11 +101,7 @@ def in_calibration(**facts):
         (in_calibration(converged=False), None, "it did not converge."),
         (in_calibration(image_size=[640, 480]), None, "its images had another size."),
         (in_calibration(covariance={"names": [], "matrix": []}), None, "its uncertainties are not complete."),
-        (
-            {"change": lambda r: r["devices"]["camera"].update(lens="50 mm")},
-            None,
-            "the camera had another lens: 50 mm.",
-        ),
+        (WITH_LENS, None, "the camera had another lens: 50 mm."),
         ({"change": lambda r: r.pop("calibration")}, None, "its results are not readable."),
     ],
 )

@@ -63,12 +63,8 @@ def test_calibrating_again_with_the_same_options_gives_the_same_bits(folder):
 
 def test_poses_have_names_angles_and_pictures(folder):
     run = load(folder)
-    assert [(pose.index, pose.name) for pose in run.poses] == [
-        (1, "left"),
-        (2, "right"),
-        (3, "above"),
-        (4, "below"),
-    ]
+    names = ["left", "right", "above", "below"]
+    assert [(pose.index, pose.name) for pose in run.poses] == list(enumerate(names, 1))
     assert [view.name for view in run.views] == [pose.name for pose in run.poses]
     assert run.poses[0].commanded_deg == {"pan": -5, "tilt": 0}
     assert run.poses[0].measured_deg["pan"] == pytest.approx(-5, abs=0.01)
@@ -115,14 +111,8 @@ def test_a_rehearsed_run_is_refused(tmp_path):
         (lambda results: results.pop("calibration"), "calibration is missing"),
         (lambda results: results.pop("poses"), "results are incomplete"),
         (lambda results: results["calibration"]["camera"].pop("fx"), "results are incomplete"),
-        (
-            lambda results: results["calibration"]["covariance"].pop("matrix"),
-            "calibration.covariance.matrix is missing",
-        ),
-        (
-            lambda results: results["calibration"].update(image_size=None),
-            "calibration.image_size is of another type",
-        ),
+        (lambda results: results["calibration"]["covariance"].pop("matrix"), "covariance.matrix is missing"),
+        (lambda results: results["calibration"].update(image_size=None), "image_size is of another type"),
         (lambda results: results["poses"][1].pop("commanded_deg"), "poses.1.commanded_deg is missing"),
         ("{", "cannot be read"),
         ("[]", "not a JSON object"),

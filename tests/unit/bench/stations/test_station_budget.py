@@ -1,5 +1,6 @@
 """Sections of a station file about budget, collimator and readings."""
 
+import re
 from contextlib import nullcontext
 from datetime import date
 
@@ -55,21 +56,10 @@ def test_a_station_without_a_budget_states_nothing():
 
 def test_each_part_is_a_term_with_value_distribution_and_source():
     term_of = terms(FULL)
-    assert list(term_of) == [
-        "print_scale",
-        "print_bow",
-        "thermal",
-        "collimator_thermal",
-        "effective_radius",
-        "wavefront",
-    ]
+    assert list(term_of) == re.findall(r"^  (\w+):", FULL, re.MULTILINE)
     scale = term_of["print_scale"]
-    assert (scale.value, scale.distribution, scale.source, scale.correction) == (
-        20e-6,
-        "rectangular",
-        "maker's drawing",
-        1e-4,
-    )
+    assert (scale.value, scale.correction) == (20e-6, 1e-4)
+    assert (scale.distribution, scale.source) == ("rectangular", "maker's drawing")
     assert scale.standard_uncertainty == pytest.approx(20e-6 / 3**0.5)
     assert (term_of["print_bow"].value, term_of["print_bow"].radius_mm) == (0.01, 40)
     assert term_of["effective_radius"].standard_uncertainty == pytest.approx(3e-4)
@@ -97,11 +87,7 @@ def test_temperatures_come_from_the_section_then_from_the_collimator():
         ("print_scale: {value: -1e-5, source: x}", 24, "must be 0 or more"),
         ("print_scale: {value: 1e-5, distribution: gaussian, source: x}", 44, "triangular"),
         ("print_scale: {value: 1e-5}", 16, "required, but it is missing"),
-        (
-            "print_scale: {value: 1e-5, source: x, distribution: rectangular, k: 2}",
-            16,
-            "k applies to a normal",
-        ),
+        ("print_scale: {value: 1e-5, source: x, distribution: rectangular, k: 2}", 16, "k applies"),
         ("print_bow: {value_mm: 0.01, source: x}", 14, "radius_mm"),
         ("print_bow: {value_mm: -0.01, radius_mm: 40, source: x}", 25, "must be 0 or more"),
         ("thermal: {expansion_per_c: 9e-6, sigma_c: -1, source: x}", 45, "must be 0 or more"),

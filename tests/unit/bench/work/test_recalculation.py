@@ -234,17 +234,7 @@ def test_runs_are_found_in_natural_order(folders, tmp_path):
 
 
 def test_the_command_gives_the_same_to_the_last_digit_by_processes(folders):
-    options = [
-        "--image-size",
-        "1280x720",
-        "--model",
-        "spherical",
-        "--distortion",
-        "k1",
-        "--workers",
-        "2",
-        "--json",
-    ]
+    options = ["--image-size", "1280x720", "--model", "spherical", "--distortion", "k1", "--workers", "2", "--json"]  # fmt: skip
     shutil.rmtree(folders[1])
     folders[1].mkdir()
     ended = CliRunner().invoke(
