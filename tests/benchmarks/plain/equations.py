@@ -7,13 +7,25 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, Ints
 from calib.model.rotation import skew
 
 from .fields import K
 from .problem import Problem, State
 from .pupils import about_disc, by_middle
 from .weights import Weights
+
+
+@dataclass(frozen=True)
+class Bent:
+    """Half of how log det of the information changes with the places of a pupil: with it, they are the most probable.
+
+    Fields by turn multiply the places. Without it, the places would follow fields that are hardly known.
+    """
+
+    at: Ints  # (P,) the unknowns
+    gradient: Array  # (P,)
+    curvature: Array  # (P, P)
 
 
 @dataclass(frozen=True)
@@ -28,6 +40,7 @@ class Equations:
     cost: float  # Weighted squares of the residuals
     off: Array  # (m, 3) rotations from the readings' predictions; no rows without readings
     by_gimbal: Array  # (m, 3, G) turn of the predictions
+    bent: Bent | None = None  # By places of a pupil that a hand moves
 
     @classmethod
     def at(cls, problem: Problem, state: State, weights: Weights) -> Equations:
@@ -107,10 +120,10 @@ class Equations:
     @cached_property
     def shared(self) -> Array:
         """(S, S) information of the shared unknowns by the stars."""
-        return np.asarray((np.swapaxes(self.maps, 1, 2) @ self._of_poses @ self.maps).sum(axis=0))
+        return np.asarray((np.swapaxes(self.maps, 1, 2) @ self.of_poses @ self.maps).sum(axis=0))
 
     @cached_property
-    def _of_poses(self) -> Array:
+    def of_poses(self) -> Array:
         """(n, B, B) information of the bases of the poses."""
         size = self.problem.size
         return np.array(

@@ -9,7 +9,7 @@ from calib.model.result_parts import RotationErrors
 from calib.model.rotation import exp_map, skew
 
 from .posterior import Posterior
-from .problem import State
+from .problem import Problem, State
 from .shapes import CENTRE
 from .solution import Solution, reading_weights
 
@@ -23,7 +23,8 @@ def left_out_rms(solution: Solution) -> float | None:
     """Return the root mean square residual of poses left out, of which only the rotation is adjusted, px.
 
     The other poses predict the shared unknowns: one step from the mode, by a downdate of the information. The left-out
-    pose has no own field. None with fewer than three poses.
+    pose has no own field. A pupil that a hand moves is where the disc shows it; where it is along the axis no disc
+    shows, that is adjusted, too. None with fewer than three poses.
     """
     q, p, prior = solution.equations, solution.problem, solution.prior
     if p.n < MIN_POSES:
@@ -61,22 +62,37 @@ def _predicted(solution: Solution, pose: int, step: Array) -> list[tuple[int, Ar
     q, p, state = solution.equations, solution.problem, solution.equations.state
     own = state.own.copy()
     own[pose] = 0.0
-    moved = State(state.b + step, own, state.rotations)
-    basis, c, found = p.bases(moved)[pose], (state.b + step)[: p.depth], []
+    moved = State(_as_shown(p, state.b + step, pose), own, state.rotations)
+    seen, c, found = p.bases(moved)[pose], moved.b[: p.depth], []
     for v in p.members[pose]:
-        rotations, stars = state.rotations.copy(), p.stars[v]
+        rotations, stars, basis = state.rotations.copy(), p.stars[v], seen.copy()
         for _ in range(_ALIGNMENTS):
             there = State(moved.b, own, rotations)
             points = p.points(there, v, basis)
             px, by_point, _ = p.camera.linearised(c, points)
-            by_turn = -by_point @ skew(points)
+            columns = -by_point @ skew(points)
+            if p.places is not None:
+                columns = np.concatenate([columns, (by_point @ rotations[v][:, 2])[:, :, None]], axis=2)
             root = np.sqrt(q.weights.whole[v])[:, None, None] * stars.whitening
-            rows = (root @ by_turn).reshape(-1, 3)
+            rows = (root @ columns).reshape(-1, columns.shape[2])
             turn = np.linalg.lstsq(rows, (root @ (stars.px - px)[:, :, None]).reshape(-1), rcond=None)[0]
-            rotations[v] = exp_map(np.asarray(turn, np.float64)) @ rotations[v]
+            rotations[v] = exp_map(np.asarray(turn[:3], np.float64)) @ rotations[v]
+            basis[p.depth] += turn[3:].sum()
         points = p.points(State(moved.b, own, rotations), v, basis)
         found.append((v, stars.px - p.camera.project(c, points)))
     return found
+
+
+def _as_shown(problem: Problem, b: Array, pose: int) -> Array:
+    """Return shared unknowns with which the pupil of a pose is where its disc shows it.
+
+    That the places of all poses have a known mean would make this one what the others leave.
+    """
+    if problem.places is None:
+        return b
+    at, root, shown = problem.unknowns.places("place"), problem.places.root[pose], b.copy()
+    shown[at] -= np.linalg.pinv(root) @ (root @ b[at])
+    return shown
 
 
 def rotation_errors(posterior: Posterior) -> RotationErrors:

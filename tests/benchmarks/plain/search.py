@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from calib.progress import in_round
 
 from .equations import Equations
 from .problem import Problem, State
-from .solution import AS_STATED, Solution, Wide, expected_curvature, reading_weights, solve
+from .solution import AS_STATED, Solution, Wide, bent, expected_curvature, reading_weights, solve
 from .weights import Weights, spread, weights
 
 #: A step may move focal length, foot and radius by this share; below the second number, weights begin to rest.
@@ -97,6 +97,10 @@ def cost(state: State, residuals: Sequence[Array], solution: Solution) -> float:
     whole = zip(solution.equations.weights.whole, residuals, strict=True)
     total = prior.star * sum(float(weight @ (off**2).sum(axis=1)) for weight, off in whole)
     total += float((state.b - p.unknowns.mean) ** 2 @ prior.shared) + float((state.own**2 @ prior.own).sum())
+    bend = solution.equations.bent
+    if bend is not None:
+        away = (state.b - solution.equations.state.b)[bend.at]
+        total += float(2.0 * bend.gradient @ away + away @ bend.curvature @ away)
     if p.readings is not None:
         views = np.bincount(p.poses)[p.poses]
         off = p.readings.off(state.b[p.readings.at], state.rotations)
@@ -168,13 +172,15 @@ class _Search:
             self.weights = weights(p, self.residuals, noise * (1.0 if self.holds else _START_NOISE))
         q = Equations.at(p, self.state, self.weights)
         first = solve(q, eta, self.wide, self.damping)
+        if self.holds and p.places is not None:
+            first = solve(replace(q, bent=bent(first)), eta, self.wide, self.damping)
         if not self.holds or self.damping or is_first:
             return first
         better = best_amplitudes(first, _STEPS, _FARTHEST if self.settled < _FIRST_WEIGHED else np.inf)
         for _ in range(3):  # amplitudes count only where the equations hold for their step
             if better.moved <= max(_BEND, first.moved):
                 break
-            better = solve(q, 0.5 * (better.eta + first.eta), self.wide)
+            better = solve(first.equations, 0.5 * (better.eta + first.eta), self.wide)
         return better
 
     def ended(self, solution: Solution, number: int) -> bool:

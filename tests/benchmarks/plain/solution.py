@@ -15,8 +15,9 @@ import numpy as np
 
 from calib.arrays import Array
 
-from .equations import Equations
+from .equations import Bent, Equations
 from .problem import Problem
+from .table import slopes
 
 #: Other 1-sigmas of some shared unknowns, by their places: a hypothesis.
 Wide = Mapping[int, float]
@@ -258,6 +259,10 @@ def solve(equations: Equations, eta: Array, wide: Wide = AS_STATED, damping: flo
     h, rs = prior.star * equations.shared, prior.star * equations.shared_right
     h[np.diag_indices(len(h))] += prior.shared
     rs += (p.unknowns.mean - state.b) * prior.shared
+    if equations.bent is not None:
+        at = equations.bent.at
+        h[np.ix_(at, at)] += equations.bent.curvature
+        rs[at] -= equations.bent.gradient
     if damping:
         h += damping * p.wide.T @ p.wide
         at = p.unknowns.places("place")
@@ -305,6 +310,31 @@ def otherwise(first: Solution, wide: Wide) -> Solution:
         step=step,
         local=first.local - first.follow @ (step - first.step),
         _parts={},
+    )
+
+
+def bent(solution: Solution) -> Bent | None:
+    """Return how the places of a pupil that a hand moves bend the information; None if no hand moves it.
+
+    Only what others know of a pose bends: one that alone determines the fields has the same determinant everywhere.
+    """
+    q, p, prior = solution.equations, solution.problem, solution.prior
+    if p.places is None:
+        return None
+    at = p.unknowns.places("place")
+    turned = np.einsum("nka,kfs->nafs", slopes(p.pupil(q.state.b)), p.unknowns.by_place)
+    stars = prior.star * q.of_poses
+    between = prior.star * q.of_local[0]
+    with_shared = (stars @ q.maps - np.swapaxes(between, 1, 2) @ solution.follow) @ solution.covariance
+    gradient = np.einsum("nafs,nfs->na", turned, with_shared[:, p.field])
+    left = stars - np.swapaxes(between, 1, 2) @ solution.own @ between
+    seen = left @ q.maps
+    others = (left - seen @ solution.covariance @ np.swapaxes(seen, 1, 2))[:, p.field, p.field]
+    across = np.einsum("nfg,nbgs->nbfs", others, turned @ solution.covariance)
+    curvature = np.einsum("nafs,nbfs->nab", turned, across)
+    moved = p.places.per_mm * p.places.root
+    return Bent(
+        at, np.einsum("nap,na->p", moved, gradient), np.einsum("nap,nab,nbq->pq", moved, curvature, moved)
     )
 
 

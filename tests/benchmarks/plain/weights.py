@@ -19,6 +19,7 @@ _RIM_NOISES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 #: It counts so many times: it is alike in neighbouring stars and in other poses, and the fields take a part of it.
 _RIM_ALIKE = 2.0
 #: So many px rho^24 are added always: fields could follow a few stars at the rim, and then no noise is left to see.
+#: Where no disc shows the rim, this is no more than as many of the stated px: exact points count up to the last.
 _RIM_EDGE_PX = 1.0
 #: Beyond the rim nothing more is added.
 _BEYOND = 1.05
@@ -81,8 +82,8 @@ def precisions(stars: Sequence[Stars], weights: Weights) -> list[Array]:
 def weights(problem: Problem, residuals: Sequence[Array], limit: float) -> Weights:
     """Return the weights by (N, 2) residuals over sigma; ``limit``: sigma of the stars over the stated one."""
     stars, lengths = problem.stars, [np.linalg.norm(off, axis=1) for off in residuals]
-    usual = float(np.median(np.concatenate([star.sigma_px for star in stars]))) * min(limit, 1.0)
-    edge_px = _RIM_EDGE_PX / max(limit, 1.0)
+    usual = float(np.median(np.concatenate([star.sigma_px for star in stars])))
+    edge_px = _RIM_EDGE_PX / (limit if problem.moved.discs is not None else max(limit, 1.0))
 
     def cost(c: float) -> float:
         pairs = zip(_at_rim(stars, c * usual, edge_px), lengths, strict=True)
