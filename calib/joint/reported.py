@@ -1,7 +1,8 @@
-"""The camera that a result states: the terms of Brown's series that programs have, without that of r^8.
+"""The quantities that a result states, as linear functions of the unknowns: none of two that views show together.
 
 Views show the term of r^8 (`calib.model.lens.R8`) and k1 to k3 together. Programs have no such term, so a result states
 the k1 to k3 that project as the whole series does over the sensor: to 1/32 of what the term moves the corner.
+They show the radius and a scale of the common field together, too. The stated one is the length that the camera sees.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
+from calib.joint.effects.collimator import COMMON_PLACES, FIELD
+from calib.joint.layout import Layout
 from calib.joint.posterior import Posterior
 from calib.model.camera import CameraModel
 from calib.model.lens import R8
@@ -50,10 +53,23 @@ def reported(posterior: Posterior, further: tuple[str, ...]) -> Reported:
     names = (*(name for name in layout.pose.camera if name != R8), *further)
     shares = _taken_up(camera) if R8 in layout.index else {}
     follows = np.array([shares.get(name, 0.0) for name in names])
-    rows = np.eye(len(layout.names))[layout.places(names)]
+    rows = as_seen(layout)[layout.places(names)]
     if shares:
         rows[:, layout.index[R8]] = follows
     return Reported(names, rows, follows)
+
+
+def as_seen(layout: Layout) -> Array:
+    """Return (S, S) the shared unknowns with the scale of the common field in the radius, as functions of themselves.
+
+    A field that makes all distances on the target longer by a share is a radius that is shorter by it.
+    """
+    rows, scale = np.eye(len(layout.names)), layout.basis.shape(np.asarray)[COMMON_PLACES]
+    field, r = layout.places([f"{FIELD}{k}" for k in COMMON_PLACES]), layout.index["r"]
+    share = scale / (scale @ scale)
+    rows[r, field] = -layout.basis.reference[2] * share
+    rows[np.ix_(field, field)] -= np.outer(scale, share)
+    return rows
 
 
 def without_r8(camera: CameraModel) -> CameraModel:

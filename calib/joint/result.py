@@ -22,7 +22,7 @@ from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.posterior import Posterior
-from calib.joint.reported import without_r8
+from calib.joint.reported import as_seen, without_r8
 from calib.joint.solve import moved
 from calib.joint.summary import summarised
 from calib.joint.words import notes, require_determined
@@ -77,7 +77,8 @@ def calibrate_jointly(
 def _parameters(posterior: Posterior) -> AdjustmentParameters:
     """Return the posterior's mean. Rotations and gimbal are those that belong to it."""
     optimum, bench = posterior.reported, posterior.optimum.marginal.problem.bench
-    named = dict(zip(bench.layout.names, posterior.mean.tolist(), strict=True))
+    seen = as_seen(bench.layout) @ posterior.mean
+    named = dict(zip(bench.layout.names, seen.tolist(), strict=True))
     radial = {name: named[name] for name in RADIAL}
     centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
     best, step = optimum.solution, posterior.mean - optimum.state.shared
@@ -217,11 +218,11 @@ def _glass(posterior: Posterior, views: Sequence[View]) -> Passport:
     """Return what was found out about the collimator: centre, radial terms, common field, jointly."""
     layout = posterior.optimum.marginal.problem.bench.layout
     names = (*CENTRE, *RADIAL, *(f"{FIELD}{k}" for k in COMMON_PLACES))
-    at = layout.places(names)
+    rows = as_seen(layout)[layout.places(names)]
     return Passport(
         names,
-        posterior.mean[at],
-        posterior.covariance[np.ix_(at, at)],
+        rows @ posterior.mean,
+        rows @ posterior.covariance @ rows.T,
         layout.basis.reference,
         posterior.reported.disagreement,
         tuple(view.name for view in views),

@@ -6,8 +6,8 @@
 Each result is a line of JSON in the file; a later run with the same file goes on where the first one was stopped. The
 engine is used through `calib.calibrate` and `calib.projection_uncertainty` only, so the same program judges another
 checkout: `PYTHONPATH=CHECKOUT python .../bench_worlds.py`. ``--quick`` takes few seeds, 3 and 9 poses, some 2 CPU
-minutes. ``--plain`` judges the plain engine (`plain`), a candidate, in place of the product's. The world `stranger` needs Optiland; 0 poses: the seed decides. ``--table`` prints the table of a file and calibrates nothing; ``--page`` prints the short one of docs/measured. The seeds
-decide everything that is drawn.
+minutes. The world `stranger` needs Optiland; 0 poses: the seed decides. ``--table`` prints the table of a file and
+calibrates nothing; ``--page`` prints the short one of docs/measured. The seeds decide everything that is drawn.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ def main() -> None:
     parser.add_argument("--lens", default="shipped", choices=("shipped", "right"))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--plain", action="store_true", help="judge the plain engine, beside this folder")
     parser.add_argument("--table", action="store_true", help="print the table of the file only")
     parser.add_argument("--page", action="store_true", help="print the short table of docs/measured")
     given = parser.parse_args()
@@ -52,22 +51,12 @@ def main() -> None:
     )
     if not given.table:
         print(f"engine: {Path(calib.__file__).parent}", file=sys.stderr)
-        judged = partial(by_plain_engine if given.plain else result, lens=given.lens)
+        judged = partial(result, lens=given.lens)
         measured.add_missing(given.output, done, asked(given), judged, given.jobs)
     wanted = set(asked(given))
     print(
         (page if given.page else table)([line for key, line in done.items() if key in wanted or given.table])
     )
-
-
-def by_plain_engine(*key: Any, lens: str) -> dict[str, Any]:
-    """Return the result of a bench by the plain engine, which takes the same views and options."""
-    from plain.result import calibrate_jointly
-
-    import calib.engine
-
-    calib.engine.calibrate_jointly = calibrate_jointly
-    return result(*key, lens=lens)
 
 
 def asked(given: argparse.Namespace) -> Iterator[Key]:

@@ -6,11 +6,13 @@ import pytest
 from calib.joint.amplitudes import Lever, Pupil, hyperprior
 from calib.joint.effects import EFFECTS
 from calib.joint.effects.by_turn import Along, GimbalAside, OwnByTurn
+from calib.joint.effects.collimator import COMMON_PLACES, FIELD
 from calib.joint.effects.effect import Circumstances, PoseBasis, Turned
 from calib.joint.effects.rim import NUMBER, Rim
 from calib.joint.fields import FieldBasis
 from calib.joint.layout import Layout
 from calib.joint.prior import RandomPrior
+from calib.joint.reported import as_seen
 
 CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 TURNS = np.array([[0.0, 0.0], [0.1, 0.02], [-0.05, 0.2]])
@@ -52,3 +54,23 @@ def test_a_hand_brings_what_a_gimbal_has_not():
     assert not held.names_of(Rim)
     assert walks.names_of(Rim) == by_hand.names_of(Rim) != ()
     assert len(walks.own.places) == len(held.own.places) + NUMBER + 2
+
+
+def test_the_stated_radius_is_the_length_that_a_camera_sees():
+    """A glass that makes distances longer by 2 % is one whose camera sees a shorter length, and no other glass."""
+    there = layout(Pupil.HELD)
+    target = there.basis.polynomials(points := np.array([[5.0, -3.0], [30.0, 20.0], [-10.0, 35.0]]))
+    found = np.zeros(len(there.names))
+    found[there.index["r"]] = 250.0
+    scale = 0.02 * there.basis.shape(np.asarray)[COMMON_PLACES]
+    field = there.places([f"{FIELD}{k}" for k in COMMON_PLACES])
+    found[field] = scale
+    stated = as_seen(there) @ found
+    displaced = np.zeros((2, target.shape[1]))
+    displaced.reshape(-1)[COMMON_PLACES] = scale
+    seen = (points + 250.0 * target @ displaced.T) / 250.0
+    assert stated[there.index["r"]] == pytest.approx(250.0 * 0.98)
+    assert points / stated[there.index["r"]] == pytest.approx(seen, rel=1e-3)  # to the square of the 2 %
+    assert stated[field] == pytest.approx(0.0, abs=1e-15)
+    found[field] = np.roll(scale, 1)  # all else stays as it is
+    assert as_seen(there) @ found == pytest.approx(as_seen(there) @ (as_seen(there) @ found))
