@@ -33,7 +33,7 @@ from bench.record.run_folder import (
     STATION_COPY,
 )
 from bench.record.stored_run import StoredRun
-from bench.solve.causes import kinds_by_earlier_run, kinds_by_run_alone
+from bench.solve.causes import causes_of_run
 from bench.solve.measured_again import measure_again
 from bench.solve.offline import Reached, nothing_shown
 from bench.solve.result import change_since
@@ -263,9 +263,9 @@ def _check_causes(evidence: _Evidence, calibration: Calibration, findings: Findi
 
     Causes that rest on an earlier run, or on a computer that stood still, need not be told again.
     """
-    job, stated = evidence.job, {cause["kind"] for cause in evidence.history.solved.get("causes", ())}
+    stated = {cause["kind"] for cause in evidence.history.solved.get("causes", ()) if not cause["before"]}
     due = {cause.kind for cause in calibration.causes}
-    possible = kinds_by_run_alone(job, evidence.history, calibration) | kinds_by_earlier_run(job)
+    possible = {cause.kind for cause in causes_of_run(evidence.job, evidence.history, calibration)}
     seen = [Difference(f"causes: {kind}", "missing", None, kind) for kind in sorted(due - stated)]
     seen += [Difference(f"causes: {kind}", "added", kind, None) for kind in sorted(stated - possible)]
     judge("journal", JOURNAL, seen, evidence.maker, findings)

@@ -146,7 +146,7 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield from _recorded_lines(end)
         return
     results = end.outcome.results
-    causes = cause_sentences(results.get("causes", ()))
+    causes = cause_sentences(end.outcome.causes)
     yield from causes
     yield from goals_missed(results.get("untils") or [])
     if check := results.get("check"):

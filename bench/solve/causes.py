@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
@@ -64,29 +64,30 @@ class _Seen:
         return tuple(statistics.median(course[name] for name in same) for course in (number, other))  # type: ignore[return-value]
 
 
-def causes_of_run(
-    job: Job, history: History, calibration: Calibration, earlier: Callable[[], Results | None]
-) -> list[Cause]:
-    """Return what a run shows that a person did, the most probable first."""
-    seen = _seen_in(history, calibration)
-    last = earlier()
-    causes = [*calibration.causes, *_other_lens(job, calibration, last), *_stood_still(history)]
-    causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
-    # Another lens shows another number of stars; other light or other biases make an image weaker or stronger.
-    explained = any(cause.kind in {kinds.LENS, kinds.LIGHT, kinds.CAMERA} for cause in causes)
-    kept = [cause for cause in causes if not (explained and cause.kind in kinds.WEAK)]
-    return sorted(kept, key=lambda cause: -cause.evidence)
-
-
-def kinds_by_run_alone(job: Job, history: History, calibration: Calibration) -> set[str]:
-    """Return the kinds of causes that a run shows without any run before it."""
+def causes_of_run(job: Job, history: History, calibration: Calibration) -> list[Cause]:
+    """Return what a run and its station show that a person did, the most probable first."""
     causes = [*calibration.causes, *_other_lens(job, calibration, None), *_stood_still(history)]
-    return {cause.kind for cause in causes}
+    return _ranked([*causes, *_against_station(job, calibration, _seen_in(history, calibration))])
 
 
-def kinds_by_earlier_run(job: Job) -> set[str]:
-    """Return the kinds of causes that may rest on an earlier run, whose folder may have gone."""
-    return {kinds.LIGHT, kinds.CAMERA, *kinds.WEAK, *([kinds.LENS] if job.station.expected is None else [])}
+def beside_last_run(job: Job, history: History, calibration: Calibration, last: Results) -> list[Cause]:
+    """Return the same with what the last run adds. That has its name: it is told, but no part of results."""
+    alone = causes_of_run(job, history, calibration)
+    more = [*_other_lens(job, calibration, last), *_against_last(_seen_in(history, calibration), last)]
+    known = {cause.kind for cause in alone}
+    if known & {kinds.LENS, *kinds.WEAK}:
+        known |= {*kinds.WEAK}
+    return _ranked([*alone, *(cause for cause in more if cause.kind not in known)])
+
+
+def _ranked(causes: list[Cause]) -> list[Cause]:
+    """Return causes, the most probable first, without signs of a weak image that others of the same origin explain.
+
+    Another lens shows another number of stars; other light or other biases make an image weaker or stronger.
+    """
+    whole = {cause.before for cause in causes if cause.kind in {kinds.LENS, kinds.LIGHT, kinds.CAMERA}}
+    kept = [cause for cause in causes if not (cause.before in whole and cause.kind in kinds.WEAK)]
+    return sorted(kept, key=lambda cause: -cause.evidence)
 
 
 def _seen_in(history: History, calibration: Calibration) -> _Seen:

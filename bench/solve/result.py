@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ from bench.report.html import ReportData, render_report
 from bench.report.maps import change_maps
 from bench.report.pictured_poses import pictured_poses
 from bench.report.verdict import verdict
-from bench.solve.causes import causes_of_run
+from bench.solve.causes import beside_last_run, causes_of_run
 from bench.solve.earlier_runs import NotComparableError, earlier_runs, last_results, read_sealed
 from bench.solve.exports import exports
 from bench.solve.results_content import results_content
@@ -79,6 +78,7 @@ class Outcome:
     # Hash of the journal's last line when the results were made; the report prints it.
     journal_head: str = ""
     verdict: VerdictData | None = None  # As the report prints it
+    causes: Sequence[CauseData] = ()  # Those that rest on an earlier run, too
 
 
 class ResultWriter:
@@ -101,9 +101,9 @@ class ResultWriter:
         keep_views_of_run(self._job, history, measured)
         self._solution = solve_run(self._job, self._folder.path, step, history, measured, check)
         solved = main_numbers(self._solution.calibration)
-        causes = causes_of_run(
-            self._job, history, self._solution.calibration, partial(last_results, bench_ledger(), history)
-        )
+        shown = self._job, history, self._solution.calibration
+        last = last_results(bench_ledger(), history)
+        causes = beside_last_run(*shown, last) if last is not None else causes_of_run(*shown)
         return {**solved, "causes": [as_data(cause, CauseData) for cause in causes]}
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
@@ -115,7 +115,7 @@ class ResultWriter:
             )
         solution = self._solution
         with log.held() as history:
-            head = log.journal.head
+            head, causes = log.journal.head, history.solved.get("causes", ())
             content = results_content(self._job, history, solution, truth, run_software(self._job.station))
             ledger = history.ledger
         if previous := previous_calibration(bench_ledger(), ledger, content):
@@ -131,7 +131,7 @@ class ResultWriter:
             self._folder.write_atomic(name, data)
         judged = verdict(results)
         self.outcome = Outcome(
-            results, self._folder.path / REPORT, head, {"kind": judged.kind, "headline": judged.line}
+            results, self._folder.path / REPORT, head, {"kind": judged.kind, "headline": judged.line}, causes
         )
 
 

@@ -130,7 +130,8 @@ def results_content(
     if judged_limits is not None:
         results["conformity"] = judged_limits
     _add_course(results, history)
-    results["causes"] = list(history.solved.get("causes", ()))
+    told = history.solved.get("causes", ())
+    results["causes"] = [cause for cause in told if not cause["before"]]  # a customer has no earlier run
     results["truth"] = dict(truth) if truth is not None else None
     results["comparison"] = compare_with_truth(calibration, truth) if truth is not None else []
     return results

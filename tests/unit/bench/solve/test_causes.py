@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from bench.record.history import History
-from bench.solve.causes import causes_of_run
+from bench.solve.causes import beside_last_run, causes_of_run
 from bench.wording import causes as kinds
 from bench.wording.causes import sentence_of
 
@@ -60,12 +60,19 @@ def causes(
     expected = (
         None
         if focal_px is None
-        else SimpleNamespace(focal_px=focal_px, star_sigma_px=0.03, collimator=SimpleNamespace(rms_px=0.0))
+        else SimpleNamespace(
+            focal_px=focal_px, star_sigma_px=0.03 if first else 0.2, collimator=SimpleNamespace(rms_px=0.0)
+        )
     )
     job = SimpleNamespace(station=SimpleNamespace(expected=expected))
-    return causes_of_run(
-        cast("Any", job), history, cast("Any", calibration), lambda: None if first else last or earlier()
-    )
+    run = cast("Any", job), history, cast("Any", calibration)
+    return causes_of_run(*run) if first else beside_last_run(*run, last or earlier())
+
+
+@pytest.fixture(autouse=True)
+def stars_that_the_station_expects(monkeypatch):
+    """Whatever the test says: none, unless it sets a number."""
+    monkeypatch.setattr("bench.solve.causes.expected_stars", lambda *_: None)
 
 
 def earlier(**changed: Any) -> dict[str, Any]:
@@ -127,6 +134,13 @@ def test_a_sine_has_no_delay_and_later_events_of_another_waveform_are_not_compar
 
 def test_earlier_events_are_no_sign_of_a_weak_image():
     assert causes(delay_us=5.0) == []
+
+
+def test_what_rests_on_the_last_run_has_its_name_and_stands_beside_what_the_run_shows_alone():
+    changed = {"focal_px": 10300.0, "light": {**LIGHT, "high_v": 2.0}, "stars": 300}
+    told, alone = causes(**changed), causes(**changed, first=True)
+    assert [cause for cause in told if not cause.before] == alone
+    assert [cause.kind for cause in told if cause.before] == [kinds.LIGHT]
 
 
 def test_the_most_probable_cause_is_first():
