@@ -1,6 +1,5 @@
 """A bench of fakes for the align page: a stage that takes time, a light, and a camera that records dark slices."""
 
-import shutil
 from contextlib import contextmanager
 
 from fake_devices import FakeDevices
@@ -8,9 +7,8 @@ from pages import served
 
 from bench.extras.pages.align.align_app import align_app
 from bench.extras.pages.align.live_figures import LiveMeter
-from bench.extras.pages.align.page_requests import PageFiles
 from bench.extras.pages.align.session import Session
-from bench.stations.station import SHIPPED_STATIONS, load_station
+from bench.stations.station import load_station
 
 
 def fake_session(devices=None, station="simulated", opener=None):
@@ -22,12 +20,10 @@ def fake_session(devices=None, station="simulated", opener=None):
 
 
 @contextmanager
-def served_bench(folder):
+def served_bench():
     """Serve the align page of fakes; yields the server, the session and the fakes."""
-    path = folder / "bench.yaml"
-    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
-    session, devices = fake_session(station=path)
+    session, devices = fake_session()
     session.open()
-    with served(align_app(session, PageFiles(str(path), folder))) as server:
+    with served(align_app(session)) as server:
         yield server, session, devices
     session.close()

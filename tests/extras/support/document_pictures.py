@@ -19,10 +19,9 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from bench.extras.pages.align.align_app import align_app
-from bench.extras.pages.align.page_requests import PageFiles
 from bench.extras.pages.align.session import Session
 from bench.extras.pages.panel.panel_app import panel_app
-from bench.stations.station import SHIPPED_STATIONS, load_station
+from bench.stations.station import load_station
 from tests.extras.support.pages import served
 
 PICTURES = Path(__file__).parents[3] / "docs" / "pictures"
@@ -82,15 +81,13 @@ def report_pictures(browser: Any, run: Path) -> None:
         save(whole.crop((0, top, WIDTH_PX, min(top + height_px, whole.size[1]))), name)
 
 
-def align_picture(browser: Any, folder: Path) -> None:
+def align_picture(browser: Any) -> None:
     """Picture the align page over a bench that is homed, lit, and somewhat out of focus."""
-    path = folder / "bench.yaml"
-    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
-    session = Session(load_station(str(path)))
+    session = Session(load_station("simulated"))
     if (failure := session.open()) is not None:
         raise SystemExit(failure.message)
     try:
-        with served(align_app(session, PageFiles(str(path), folder))) as server:
+        with served(align_app(session)) as server:
             page = browser.new_page(viewport=LAPTOP)
             page.goto(server.url)
             page.click("#home")
@@ -135,7 +132,7 @@ def main() -> None:
         subprocess.run([sys.executable, "-m", "bench", *demo], check=True)
         browser = driver.chromium.launch(executable_path=chromium, args=FLAGS)
         report_pictures(browser, runs / "demo")
-        align_picture(browser, Path(name))
+        align_picture(browser)
         panel_picture(browser, runs)
         browser.close()
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from bench.base.errors import ControlRefused
 from bench.base.failure import Failure
+from bench.extras.pages.align.figure_rows import FigureRow
 from drivers.errors import DriverError, ReplyError, StillOpening
 from drivers.stage import Stage
 
@@ -36,7 +37,6 @@ class StageState:
     goal_deg: Mapping[str, float] = field(default_factory=dict)
     homed: bool | None = None  # Whether every axis has a reference; None before it was asked
     work: Work | None = None  # ``move`` or ``home`` while the stage moves; None at rest
-    by: str = ""  # Id of the page that asked for the motion; empty for this process
     faults: tuple[str, ...] = ()
     failure: Failure | None = None  # Why the last motion failed; None if nothing is wrong
 
@@ -44,10 +44,9 @@ class StageState:
 class StageControl:
     """A stage in the hands of a person."""
 
-    def __init__(self, stage: Stage, on_change: Callable[[], None], say: Callable[[str], None]) -> None:
+    def __init__(self, stage: Stage, on_change: Callable[[], None]) -> None:
         self._stage = stage
         self._on_change = on_change
-        self._say = say
         self._lock = threading.Lock()
         self._wake = threading.Condition(self._lock)
         self._state = StageState()
@@ -83,17 +82,21 @@ class StageControl:
         """Return the present angles, degrees by axis; empty while the stage is not homed."""
         return self._state.position_deg if self._state.homed else {}
 
-    def position_to_write_deg(self) -> Mapping[str, float]:
-        """Return the present angles, degrees by axis; `ControlRefused` if the stage is not homed, or moves."""
-        if not self.moving:
-            self.look()
+    def row(self) -> FigureRow:
+        """Return what the stage does, for the page."""
         state = self._state
-        _check_homed(state, "Nothing was written.")
-        if self.moving:
-            raise ControlRefused(
-                "The stage moves. Nothing was written.", where="stage", remedy="Wait until it stands."
-            )
-        return state.position_deg
+        words = "at rest"
+        if self._silent is not None:
+            words = "opening" if self._still_opening else "does not answer"
+        elif state.work is not None:
+            words = "homing" if state.work == "home" else "turning"
+        elif state.homed is False:
+            words = "not homed"
+        elif state.faults:
+            words = "; ".join(state.faults)
+        return FigureRow(
+            "Stage", words, expected="at rest", good=words == "at rest" and state.failure is None
+        )
 
     def as_data(self) -> dict[str, Any]:
         """Return the state as the page shows it: plain values; an entry an axis in ``axes``."""
@@ -114,13 +117,12 @@ class StageControl:
             "homed": state.homed,
             "work": state.work,
             "answers": self._silent is None,
-            "faults": list(state.faults),
             "failure": failure.to_dict() if failure else None,
         }
 
     # ------------------------------------------------------------------ what a person asks for
 
-    def move_by(self, steps_deg: Mapping[str, float], by: str = "") -> dict[str, float]:
+    def move_by(self, steps_deg: Mapping[str, float]) -> dict[str, float]:
         """Turn axes by small steps, added to the goal; return each goal, degrees, at once.
 
         `ControlRefused`, and nothing moves, if a goal lies outside the limits or the stage cannot move now.
@@ -132,19 +134,24 @@ class StageControl:
             state = self._state
             if self._closing:
                 raise ControlRefused("The stage is being closed.", remedy="Start align again.")
-            _check_homed(state, "Nothing was moved.")
+            if state.homed is False:
+                raise ControlRefused(
+                    "The stage is not homed, so its angles are not known. Nothing was moved.",
+                    where="stage",
+                    remedy="Press Home first. Homing turns the axes over a large part of their range.",
+                )
             if state.work == "home":
                 raise ControlRefused(
                     "The stage is homing. Nothing was added.", where="stage", remedy="Wait, or press STOP."
                 )
             goals = {name: self._goal(name, step) for name, step in steps_deg.items()}
             self._wanted |= goals
-            self._set(goal_deg={**state.goal_deg, **goals}, work="move", by=by, failure=None)
+            self._set(goal_deg={**state.goal_deg, **goals}, work="move", failure=None)
             self._wake.notify_all()
         self._on_change()
         return goals
 
-    def home(self, by: str = "") -> None:
+    def home(self) -> None:
         """Search the references of all axes, also after the return; refused if the stage moves, or is not open."""
         with self._lock:
             if self._still_opening:
@@ -158,12 +165,24 @@ class StageControl:
                     "The stage moves. Homing was not started.", where="stage", remedy="Wait, or press STOP."
                 )
             self._home_wanted = True
-            self._set(goal_deg={}, work="home", by=by, failure=None)
+            self._set(goal_deg={}, work="home", failure=None)
             self._wake.notify_all()
         self._on_change()
 
     def stop(self) -> None:
         """Stop all axes now, on this thread, and drop every move that waits. For any thread, at any time."""
+        try:
+            self._stop()
+        except DriverError as error:
+            failure = Failure.of(error)
+            what = f"CHECK THE BENCH: the stage did not confirm its stop. {failure.what}"
+            with self._lock:
+                self._set(failure=replace(failure, what=what))
+            raise
+        finally:
+            self._on_change()
+
+    def _stop(self) -> None:
         with self._lock:
             self._generation = generation = self._generation + 1
             self._wanted.clear()
@@ -182,7 +201,6 @@ class StageControl:
                 ended = self._wake.wait_for(has_ended, _STOP_AGAIN_S)
             if not ended:
                 self._stage.stop()
-        self._on_change()
 
     # ------------------------------------------------------------------ what is read
 
@@ -302,22 +320,8 @@ class StageControl:
                 return None
             if home:
                 self._stage.home()
-                self._say("The stage is homed.")
             else:
                 self._stage.move_to(goals_deg)
         except DriverError as error:
-            if generation != self._generation:
-                return None
-            self._say(f"The motion failed: {Failure.of(error).message}")
-            return Failure.of(error)
+            return Failure.of(error) if generation == self._generation else None
         return None
-
-
-def _check_homed(state: StageState, consequence: str) -> None:
-    """Raise ControlRefused, with its consequence in a sentence, if the stage has no reference."""
-    if state.homed is False:
-        raise ControlRefused(
-            f"The stage is not homed, so its angles are not known. {consequence}",
-            where="stage",
-            remedy="Press Home first. Homing turns the axes over a large part of their range.",
-        )

@@ -17,20 +17,17 @@ from bench.measure.measure_frames import MOST_SATURATED
 
 SHARP_PX: Final = 1.0
 """Edge width below which the lens counts as focused; up to 1.3 px every star is found."""
-_LOADED_LINK_PERCENT: Final = 90.0  # Above it, a small rise already loses events
 # A flickering pattern gives as many ON as OFF events; outside, one bias is far off.
 _ON_SHARES_PERCENT: Final = (25.0, 75.0)
 _LEAST_EVENTS_AN_EDGE: Final = 0.8
 """Events of a lit pixel at an edge of the light, below which stars are located less well. The simulated bench has 0.94
 at full level in the dark, 0.77 at a level of 20 %, and 0.76 and 0.67 with light of the room of 0.2 and 0.6."""
-_MANY_HOT: Final = 2000  # Two in a thousand of an IMX636's pixels
 _LEAST_LIT_PERCENT: Final = 60.0  # Below it, most of the frame shows no star
 _LEAST_CONTRAST_PERCENT: Final = 30.0  # Below it, no pattern is visible
-_FREQUENCY_SLACK: Final = 0.03  # Relative; a live slice is too short for the tolerance of a run
 
 _DISAGREEING: Final = 3  # Pictures; they come several times a second
 
-Group = Literal["bench", "signal", "focus", "turn"]
+Group = Literal["signal", "focus", "turn"]
 
 
 class FigureRow(NamedTuple):
@@ -52,11 +49,8 @@ class SteadyVerdicts:
         self._against: dict[str, int] = {}
 
     def steady(self, rows: Sequence[FigureRow]) -> list[FigureRow]:
-        """Return the rows of the next picture with the verdicts to show; those of devices are no matter of pictures."""
-        return [
-            row if row.group == "bench" else row._replace(good=self._verdict(row.name, row.good))
-            for row in rows
-        ]
+        """Return the rows of the next picture with the verdicts to show."""
+        return [row._replace(good=self._verdict(row.name, row.good)) for row in rows]
 
     def _verdict(self, name: str, now: bool | None) -> bool | None:
         shown = self._shown.get(name, now)
@@ -71,19 +65,19 @@ class SteadyVerdicts:
 
 def figure_rows(figures: LiveFigures, setting: LiveSetting, best_px: float | None = None) -> list[FigureRow]:
     """Return all rows of a picture; ``best_px`` is the best edge width so far."""
-    homed = FigureRow("Stage", "homed" if setting.homed else "not homed", "", "homed", setting.homed, "bench")
-    lit = FigureRow("Light", "on" if setting.light_on else "off", "", "on", setting.light_on, "bench")
-    faults = "; ".join(figures.recording_faults)
-    recording = FigureRow("Recording", faults or "whole", "", "whole", not faults)
+    dark = setting.light_on is False
+    picture = "; ".join(figures.recording_faults) or (
+        "dark" if dark else "turning" if figures.moving else "whole"
+    )
     seen = [
         *_signal(figures, setting),
         *(row._replace(group="focus") for row in _focus(figures, setting, best_px)),
         *(row._replace(group="turn") for row in _turn(figures)),
     ]
     # What a picture lacks while it is dark, or while the stage turns, is no fault of its own.
-    if figures.moving or setting.light_on is False:
+    if figures.moving or dark:
         seen = [row._replace(good=None) for row in seen]
-    return [homed, lit, recording, *seen]
+    return [FigureRow("Picture", picture, expected="whole", good=picture == "whole"), *seen]
 
 
 def _signal(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
@@ -97,8 +91,7 @@ def _signal(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
         yield _ranged("Saturated", _percent(figures.saturation), 1, "%", high=100.0 * MOST_SATURATED)
     else:
         yield from _events(figures, setting)
-        yield from _flicker(figures, setting)
-    yield _ranged("Sensor", figures.temperature_c, 1, "°C")
+        yield from _sync(figures, setting)
 
 
 def _events(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
@@ -107,12 +100,10 @@ def _events(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
     rate_mev_s = None if signal.events_per_s is None else signal.events_per_s / 1e6
     yield _ranged("Event rate", rate_mev_s, 1, "Mev/s", high=gates.max_event_rate_mev_s)
     yield _ranged("Events an edge", _events_an_edge(figures, setting), 2, low=_LEAST_EVENTS_AN_EDGE)
-    yield _ranged("Link load", _percent(signal.link_share), 0, "%", high=_LOADED_LINK_PERCENT)
     dropped = gates.limits.get("max_rate_controller_loss_percent")
     yield _ranged("Dropped events", _percent(figures.saturation), 1, "%", high=dropped)
     low, high = _ON_SHARES_PERCENT
     yield _ranged("ON share", _percent(signal.on_share), 0, "%", low=low, high=high)
-    yield _ranged("Hot pixels", figures.hot_pixels, 0, high=_MANY_HOT)
 
 
 def _events_an_edge(figures: LiveFigures, setting: LiveSetting) -> float | None:
@@ -123,8 +114,8 @@ def _events_an_edge(figures: LiveFigures, setting: LiveSetting) -> float | None:
     return figures.signal.events_per_s / (2.0 * setting.frequency_hz * lit_pixels)
 
 
-def _flicker(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
-    """Yield the flicker by sync edges and by events."""
+def _sync(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
+    """Yield the sync edges, and the flicker by them."""
     signal, gates, wanted_hz = figures.signal, setting.gates, setting.frequency_hz
     missed = signal.triggers_expected - signal.triggers
     edges = signal.sync_fault or (
@@ -133,24 +124,20 @@ def _flicker(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
     there = bool(signal.sync_edges) or not gates.require_triggers
     come = there and not signal.sync_fault and missed <= gates.limits.get("max_triggers_missed", 1)
     yield FigureRow("Sync edges", edges, "", "all" if gates.require_triggers else "", come)
-    # Events give the frequency less well: they count where no sync edges do.
-    events_count = signal.trigger_hz is None
-    for name, measured_hz, digits, tolerance, counts in (
-        ("Flicker by triggers", signal.trigger_hz, 2, FREQUENCY_TOLERANCE["triggers"], True),
-        ("Flicker by events", signal.event_hz, 1, _FREQUENCY_SLACK, events_count),
-    ):
-        row = _ranged(name, measured_hz, digits, "Hz")
-        if wanted_hz and counts:
-            good = None if measured_hz is None else abs(measured_hz / wanted_hz - 1.0) <= tolerance
-            row = row._replace(expected=f"{wanted_hz:.{digits}f}", good=good)
-        yield row
+    measured_hz = signal.trigger_hz
+    row = _ranged("Flicker", measured_hz, 2, "Hz")
+    if wanted_hz:
+        off = None if measured_hz is None else abs(measured_hz / wanted_hz - 1.0)
+        good = None if off is None else off <= FREQUENCY_TOLERANCE["triggers"]
+        row = row._replace(expected=f"{wanted_hz:.2f}", good=good)
+    yield row
     jitter_limit = gates.limits.get("max_trigger_jitter_us")
     yield _ranged("Jitter of the sync", signal.jitter_us, 1, "µs", high=jitter_limit)
 
 
 def _focus(figures: LiveFigures, setting: LiveSetting, best_px: float | None) -> Iterator[FigureRow]:
     """Yield the edge width, the best one, and how far the present one is from it."""
-    width = figures.focus.edge_width_px
+    width = figures.edge_width_px
     limit = min(setting.gates.limits.get("max_edge_width_px", SHARP_PX), SHARP_PX)
     row = _ranged("Edge width", width, 2, "px", high=limit)
     # Where a tag or stars are missing from a lit picture, the lens may be out of focus.
@@ -171,13 +158,9 @@ def _turn(figures: LiveFigures) -> Iterator[FigureRow]:
         text = "" if by is None else f"{round(by, digits) + 0.0:+.{digits}f}"  # no -0.0
         yield FigureRow(name, text, turn.unit, near, turn.centred if turn.of else None)
     roll = "" if turn.roll_deg is None else f"{turn.roll_deg:+.1f}"
-    enough = None if turn.roll_by_deg is None else turn.roll_by_deg == 0.0
+    enough = None if turn.roll_deg is None else abs(turn.roll_deg) >= LEAST_ROLL_DEG
     yield FigureRow("Roll to the pixels", roll, "°", f"{LEAST_ROLL_DEG:g}° or more either way", enough)
-    by_roll = "" if turn.roll_by_deg is None else f"{turn.roll_by_deg:+.0f}"
-    yield FigureRow("Roll it by", by_roll, "°")
     yield _ranged("Frame in the beam", _percent(figures.beam_share), 0, "%", low=_LEAST_LIT_PERCENT)
-    rim = {None: "", True: "in view", False: "not in view"}[figures.rim_in_view]
-    yield FigureRow("Rim of the beam", rim)
 
 
 def _ranged(

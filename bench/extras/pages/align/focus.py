@@ -6,8 +6,7 @@ tag shows. If neither stars nor a tag are found, it is unknown. The module compu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -18,14 +17,8 @@ from calib.stars.focus import blur_circle, edge_widths_px
 from calib.stars.quick import QuickStars
 from calib.target import StarTarget
 
-REGIONS: Final[Mapping[str, tuple[float, float]]] = {
-    "centre": (0.5, 0.5),
-    "top left": (0.17, 0.2),
-    "top right": (0.83, 0.2),
-    "bottom left": (0.17, 0.8),
-    "bottom right": (0.83, 0.8),
-}
-"""Middle of each region, as shares of width and height."""
+_REGIONS: Final = ((0.5, 0.5), (0.17, 0.2), (0.83, 0.2), (0.17, 0.8), (0.83, 0.8))
+"""Middle of each region whose edges give one width, as shares of width and height."""
 _HALF_SIZE: Final = (0.25, 0.3)  # Of a region, as shares of width and height
 _STARS_A_REGION: Final = 9  # The nearest to its middle; their edges give one width
 _CIRCLE_FROM_PX: Final = 1.2
@@ -38,67 +31,38 @@ _SIGMA_OF_CIRCLE: Final = 0.25
 _NEAR_TAG: Final = 40  # Stars about the tag: enough for a median, near enough for one edge width
 
 
-@dataclass(frozen=True)
-class FocusFigures:
-    """How sharp a picture is. What was not measured is None."""
-
-    edge_width_px: float | None = None  # Standard deviation of the edges' blur, px
-    # Diameter of the circle by which the print around the tag is blurred, px.
-    blur_circle_px: float | None = None
-    # Edge width of each region of `REGIONS`, px.
-    regions: Mapping[str, float | None] = field(default_factory=dict)
-
-
-def measure_focus(
-    image: NDArray[np.float32],
-    stars: QuickStars | None,
-    target: StarTarget,
-    *,
-    before: FocusFigures | None = None,
-    again: Sequence[str] = (),
-) -> FocusFigures:
-    """Measure how sharp a picture, (H, W) float32 grey values, is; ``stars`` None if they were not searched.
-
-    The regions of ``before``, a picture shortly before, are kept; None to measure all regions.
-    """
+def edge_width_px(image: NDArray[np.float32], stars: QuickStars | None, target: StarTarget) -> float | None:
+    """Return the standard deviation of the edges' blur, px; None if neither stars nor a tag were found."""
     if stars is None:
-        return FocusFigures()
-    kept = {} if before is None else {name: w for name, w in before.regions.items() if name not in again}
-    regions = _region_widths(image, stars, target, kept)
-    known = [width for width in regions.values() if width is not None]
+        return None
+    known = [width for width in _region_widths(image, stars, target) if width is not None]
     width = float(np.median(known)) if known else None
-    circle = before.blur_circle_px if before is not None else None
-    if before is None or width is None or width > _CIRCLE_FROM_PX:
-        circle = _circle(image, stars, target)
-    if circle is not None:
-        by_circle = _SIGMA_OF_CIRCLE * circle
-        star_width = by_circle if width is None else width
-        weight = float(np.interp(circle, _CIRCLES_PX, (0.0, 1.0)))
-        width = star_width + weight * max(0.0, by_circle - star_width)
-    return FocusFigures(width, circle, regions)
+    if width is not None and width <= _CIRCLE_FROM_PX:
+        return width
+    circle = _circle(image, stars, target)
+    if circle is None:
+        return width
+    by_circle = _SIGMA_OF_CIRCLE * circle
+    if width is None:
+        return by_circle
+    weight = float(np.interp(circle, _CIRCLES_PX, (0.0, 1.0)))
+    return width + weight * max(0.0, by_circle - width)
 
 
 def _region_widths(
-    image: NDArray[np.float32],
-    stars: QuickStars,
-    target: StarTarget,
-    kept: Mapping[str, float | None],
-) -> dict[str, float | None]:
-    """Return the edge width of each region, from the stars nearest to its middle, unless it is kept."""
+    image: NDArray[np.float32], stars: QuickStars, target: StarTarget
+) -> Sequence[float | None]:
+    """Return the edge width of each region, from the stars nearest to its middle."""
     if stars.local_map is None:
-        return dict.fromkeys(REGIONS)
+        return []
     size = np.array([image.shape[1], image.shape[0]], float)
     groups = []
-    for name, middle in REGIONS.items():
-        if name not in kept:
-            off = (stars.points_px - np.array(middle) * size) / size
-            inside = np.flatnonzero((np.abs(off) <= np.array(_HALF_SIZE)).all(axis=1))
-            order = np.argsort(np.linalg.norm((off * size)[inside], axis=1), kind="stable")
-            groups.append(inside[order[:_STARS_A_REGION]].astype(np.int64))
-    near = [width for width in kept.values() if width is not None]
-    start_px = float(np.median(near)) if near else None
-    widths = iter(edge_widths_px(image, stars.points_px, stars.local_map, target, groups, start_px=start_px))
-    return {name: kept[name] if name in kept else next(widths) for name in REGIONS}
+    for middle in _REGIONS:
+        off = (stars.points_px - np.array(middle) * size) / size
+        inside = np.flatnonzero((np.abs(off) <= np.array(_HALF_SIZE)).all(axis=1))
+        order = np.argsort(np.linalg.norm((off * size)[inside], axis=1), kind="stable")
+        groups.append(inside[order[:_STARS_A_REGION]].astype(np.int64))
+    return edge_widths_px(image, stars.points_px, stars.local_map, target, groups)
 
 
 def _circle(image: NDArray[np.float32], stars: QuickStars, target: StarTarget) -> float | None:

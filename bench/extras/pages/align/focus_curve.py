@@ -13,7 +13,7 @@ _AGREEING: Final = 3  # The best is a median of so many neighbours, which one st
 
 
 class FocusCurve:
-    """Edge widths over time, and the best; `begin_best` and `forget` begin anew."""
+    """Edge widths over time, and the best."""
 
     def __init__(self) -> None:
         self._points: deque[tuple[float, float]] = deque()
@@ -22,9 +22,7 @@ class FocusCurve:
         """Smallest edge width seen, px: the median of `_AGREEING` neighbours. None before there are so many."""
 
     def add(self, time_s: float, edge_width_px: float) -> None:
-        """Add the edge width of a picture, px; a picture that was added before counts once."""
-        if self._points and time_s <= self._points[-1][0]:
-            return
+        """Add the edge width of a picture, px, later than the one before."""
         self._points.append((time_s, edge_width_px))
         while self._points[0][0] < time_s - KEPT_S:
             self._points.popleft()
@@ -37,11 +35,6 @@ class FocusCurve:
         self._newest_px.clear()
         self.best_px = None
 
-    def forget(self) -> None:
-        """Begin curve and best anew."""
-        self._points.clear()
-        self.begin_best()
-
     def points(self) -> list[tuple[float, float]]:
-        """Return the curve: time, s, and edge width, px, of each picture in which it was measured."""
+        """Return time, s, and edge width, px, of each picture in which it was measured."""
         return list(self._points)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -19,23 +19,18 @@ from numpy.typing import NDArray
 from bench.stations.sections import FrameCameraSection
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig
-from calib.errors import CalibrationError, FlickerNotFound, TooFewEvents
-from calib.events.event_image import EventImages, make_images, make_quick_image
-from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from calib.errors import FlickerNotFound
+from calib.events.event_image import make_quick_image
+from calib.events.flicker import Flicker, flicker_from_triggers
 from calib.target import StarTarget
 from drivers.camera import RecordingFacts
-from drivers.camera.event_arrays import Events, Triggers, join_triggers
+from drivers.camera.event_arrays import Triggers, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics
 from drivers.camera.frames import FrameFacts, read_frames
 from drivers.camera.raw_file import RawFile
 from sequences.schema import GateConfig, Waveform
 from sequences.script import Gates
 
-LINK_GBIT_S: Final = 1.6
-"""Data that the link of an EVK4 carries, Gbit/s."""
-_MOST_EVENTS: Final = 150_000
-"""Number of events from which the flicker is searched; more do not make the figure better."""
-_SHORT_PERIODS: Final = 1.9
 _TIME_LOW, _TIME_HIGH = 0x6, 0x8  # Types of EVT3's clock words
 _CLOCK: Final = 1 << 24
 """Number of microseconds after which the time words begin again."""
@@ -47,89 +42,34 @@ GAMMA: Final = 0.6
 _CLIPPED: Final = 0.004  # Quantile at both ends, so that some hot pixels do not take the range of grey
 _LEAST_FIRED: Final = 0.3  # Events an edge: contrast is not stretched further, so that noise stays dark
 _LEAST_GREY: Final = 0.02  # Share of full scale: contrast is not stretched further, so that noise stays dark
-_HOT_EVENTS: Final = 6  # More than four times the mean, so that single events in a dark slice are not hot
 
 
 @dataclass(frozen=True)
 class SignalFigures:
-    """Rates, flicker and quality of the events of a slice. A figure that was not measured is None."""
+    """Rate, polarity and sync edges of a slice. A figure that was not measured is None."""
 
-    events: int = 0
     events_per_s: float | None = None  # Event rate, 1/s
     on_share: float | None = None
-    link_share: float | None = None
     triggers: int = 0
     triggers_expected: int = 0
     sync_edges: int = 0
-    # The flicker that the image is made with; None if there is none. A slice too short to show one is taken
-    # to have the frequency to which the light is set; then neither ``trigger_hz`` nor ``event_hz`` is known.
-    flicker: Flicker | None = None
-    trigger_hz: float | None = None  # By the sync edges
-    event_hz: float | None = None  # By the events alone
+    trigger_hz: float | None = None  # Frequency by the sync edges
     jitter_us: float | None = None  # Rms distance of the sync edges from an even train, us
     sync_fault: str = ""  # What is wrong with the sync edges; empty if nothing is, or there are none
 
 
 def measure_signal(
-    events: Events, triggers: Triggers, data_bytes: int, expected_hz: float | None, *, compare: bool = True
+    statistics: StreamStatistics, triggers: Triggers, expected_hz: float | None
 ) -> SignalFigures:
-    """Measure the signal of a slice; ``compare`` measures the frequency by events even if sync edges give it."""
-    ends = [int(a[-1]) for a in (events.t, triggers.t) if len(a)]
-    duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
-    counted = _Counted(len(events.t), int(np.count_nonzero(events.p)), duration_s, data_bytes)
-    signal = _figures(counted, triggers, expected_hz)
-    edges = signal.flicker if signal.flicker is not None and signal.flicker.source == "triggers" else None
-    near_hz = edges.frequency_hz if edges else expected_hz
-    by_events = None
-    # Events of a single period show its ON and its OFF burst, which could be two periods of twice the frequency.
-    if (compare or edges is None) and duration_s * (near_hz or math.inf) >= _SHORT_PERIODS:
-        by_events = _by_events(events, near_hz)
-    flicker = edges or by_events or signal.flicker
-    return replace(
-        signal,
-        flicker=flicker,
-        event_hz=by_events.frequency_hz if by_events else None,
-    )
-
-
-def signal_of_counts(
-    statistics: StreamStatistics, triggers: Triggers, data_bytes: int, expected_hz: float
-) -> SignalFigures | None:
-    """Return the signal of a slice whose events were only counted; None if only their times show the flicker."""
-    counted = _Counted(statistics.events, statistics.on_events, statistics.duration_s, data_bytes)
-    signal = _figures(counted, triggers, expected_hz)
-    return None if signal.flicker is None and counted.events else signal
-
-
-def shows_flicker(signal: SignalFigures | None) -> bool:
-    """Return whether events can show their frequency: one period could be two of twice the frequency."""
-    if signal is None or signal.flicker is None or not signal.events_per_s:
-        return False
-    return signal.events / signal.events_per_s * signal.flicker.frequency_hz >= _SHORT_PERIODS
-
-
-class _Counted(NamedTuple):
-    """What was counted in a slice."""
-
-    events: int
-    on_events: int
-    duration_s: float
-    data_bytes: int
-
-
-def _figures(counted: _Counted, triggers: Triggers, expected_hz: float | None) -> SignalFigures:
-    """Return the figures that follow from counts and sync edges; the flicker is that of the edges, or assumed."""
-    count, duration_s = counted.events, counted.duration_s
+    """Measure the signal of a slice; the light is set to ``expected_hz``, None if that is unknown."""
+    count, duration_s = statistics.events, statistics.duration_s
     edges, fault = _by_triggers(triggers, expected_hz)
     return SignalFigures(
-        events=count,
         events_per_s=count / duration_s if duration_s else None,
-        on_share=counted.on_events / count if count else None,
-        link_share=8e-9 * counted.data_bytes / (duration_s * LINK_GBIT_S) if duration_s else None,
+        on_share=statistics.on_events / count if count else None,
         triggers=int(np.count_nonzero(triggers.value == 1)),
         triggers_expected=len(edges.rising_edges_us(0.0, 1e6 * duration_s)) if edges else 0,
         sync_edges=len(triggers.t),
-        flicker=edges or _assumed(count, duration_s, expected_hz),
         trigger_hz=edges.frequency_hz if edges and _shows_period(triggers) else None,
         jitter_us=edges.jitter_us if edges and math.isfinite(edges.jitter_us) else None,
         sync_fault=fault,
@@ -152,28 +92,10 @@ def _by_triggers(triggers: Triggers, expected_hz: float | None) -> tuple[Flicker
         return None, first
 
 
-def _assumed(events: int, duration_s: float, expected_hz: float | None) -> Flicker | None:
-    """Return the flicker to which the light is set, if the slice is too short to show any; its phase is unknown."""
-    if expected_hz is None or not events or duration_s * expected_hz > _SHORT_PERIODS:
-        return None
-    nan = float("nan")
-    return Flicker(1e6 / expected_hz, 0.0, nan, nan, 0, "events")
-
-
 def _shows_period(triggers: Triggers) -> bool:
     """Return whether two edges of one direction are there: a single one takes its frequency from the settings."""
     up = int(np.count_nonzero(triggers.value == 1))
     return max(up, len(triggers.t) - up) >= 2
-
-
-def _by_events(events: Events, near_hz: float | None) -> Flicker | None:
-    """Return the flicker by the events alone, from some of them."""
-    step = max(1, len(events.t) // _MOST_EVENTS)
-    band = (15.0, 1000.0) if near_hz is None else (min(15.0, 0.6 * near_hz), max(1000.0, 1.5 * near_hz))
-    try:
-        return flicker_from_events(events.t[::step], events.p[::step], band_hz=band)
-    except (FlickerNotFound, TooFewEvents):
-        return None
 
 
 @dataclass(frozen=True)
@@ -186,9 +108,6 @@ class LiveSetting:
     # Whether the light is on by its own read-back; None if unknown.
     light_on: bool | None = None
     level_percent: float | None = None  # Level of the light as asked for, percent; None if unknown
-    homed: bool | None = None  # Whether every axis of the stage has a reference; None if unknown
-    # Lowest and highest angle of each axis of the stage, degrees.
-    limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     focal_px: float | None = None  # Approximate focal length, px; None if the station does not state it
     # Half angle of the beam, degrees; None if the station does not state it.
     half_angle_deg: float | None = None
@@ -221,7 +140,6 @@ class LiveSetting:
         light_on: bool | None = None,
         level_percent: float | None = None,
         waveform: Waveform = "square",
-        homed: bool | None = None,
     ) -> LiveSetting:
         """Take what the figures need from a station, with a sequence's default gates; ``frequency_hz`` is as set."""
         expected, collimator = station.expected, station.collimator
@@ -234,8 +152,6 @@ class LiveSetting:
             frequency_hz=frequency_hz,
             light_on=light_on,
             level_percent=level_percent,
-            homed=homed,
-            limits_deg={name: axis.limits_deg for name, axis in station.axes.items()},
             focal_px=expected.focal_px if expected else None,
             half_angle_deg=expected.half_angle_deg if expected else None,
             r_mm=r_mm,
@@ -266,11 +182,10 @@ class CountedSlice(NamedTuple):
     periods: int  # Number of whole periods from the start of the slice on; 0 if it is shorter than one
     triggers: Triggers  # Sync edges of the whole slice, with times from its first time word on
     statistics: StreamStatistics  # Counts and times of the whole slice
-    data_bytes: int  # Length of the file without its header
 
 
 def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
-    """Count the events of a slice, for a flicker of this period."""
+    """Count the events of a slice, for a flicker of this period; infinite where there is none."""
     pieces = list(raw.words())
     words = pieces[0] if len(pieces) == 1 else np.concatenate([np.zeros(0, "<u2"), *pieces])
     end, periods = whole_periods(words, period_us)
@@ -281,7 +196,7 @@ def count_slice(raw: RawFile, period_us: float) -> CountedSlice:
     triggers = join_triggers([decoder.count(words[:end], counts), decoder.tally(words[end:])])
     statistics = decoder.statistics()
     triggers.t[:] -= max(statistics.first_t_us, 0)
-    return CountedSlice(counts, periods, triggers, statistics, 2 * len(words))
+    return CountedSlice(counts, periods, triggers, statistics)
 
 
 def whole_periods(words: NDArray[np.uint16], period_us: float) -> tuple[int, int]:
@@ -309,19 +224,17 @@ class LiveImage(NamedTuple):
     """Grey values of a slice, and what belongs to them."""
 
     values: NDArray[np.float32]  # (H, W) float32, brighter where the target is brighter
-    # Kind of image: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count`` or ``picture``.
-    kind: str
+    shows_stars: bool  # Whether stars may be searched: not in events without a flicker
     least: float  # Brightness of white print below which nothing counts as light, in the unit of the values
     signal: SignalFigures | None  # The signal; None for a frame camera
-    hot_pixels: int | None  # Number of hot pixels; None if unknown
     saturation: float | None  # Share of the pixels at the highest grey value; None for an event camera
 
 
-def read_image(path: Path, setting: LiveSetting, *, compare: bool = True) -> LiveImage:
-    """Read a slice and make its image; ``compare`` as for `measure_signal`."""
+def read_image(path: Path, setting: LiveSetting) -> LiveImage:
+    """Read a slice and make its image."""
     if setting.camera == "frame":
         return _read_frames(path)
-    return _read_events(path, setting.frequency_hz, compare=compare)
+    return _read_events(path, setting.frequency_hz)
 
 
 def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -340,62 +253,17 @@ def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray(cv2.LUT(scaled, table), np.uint8)
 
 
-def _read_events(path: Path, expected_hz: float | None, *, compare: bool) -> LiveImage:
-    """Make the image of an event camera's slice."""
-    raw = RawFile.open(path)
-    quick = None if expected_hz is None else _by_counts(raw, expected_hz)
-    # Times of events are needed for some figures of a slice that is long enough, now and then.
-    if quick is not None and not (compare and shows_flicker(quick.signal)):
-        return quick
-    events, triggers = raw.read()
-    starts = [int(a[0]) for a in (events.t, triggers.t) if len(a)]
-    origin_us = min(starts, default=0)
-    events.t[:] -= origin_us
-    triggers.t[:] -= origin_us
-    data_bytes = path.stat().st_size - raw.raw_header.size_bytes
-    signal = measure_signal(events, triggers, data_bytes, expected_hz, compare=compare)
-    if quick is not None and signal.flicker is not None:
-        return quick._replace(signal=signal)
-    size = raw.width, raw.height
-    images = _images(events, size, signal)
-    if images is None:
-        counts = _counts(events, size)
-        hot = int(np.count_nonzero(counts > _HOT_EVENTS + 4.0 * float(counts.mean())))
-        return LiveImage(counts, "count", 0.5, signal, hot, None)
-    chosen = images.best()
-    least = _LEAST_FIRED if chosen.name == "fired-per-edge" else 1.0
-    return LiveImage(chosen.image, chosen.name, least, signal, images.facts.hot_pixels, None)
-
-
-def _by_counts(raw: RawFile, expected_hz: float) -> LiveImage | None:
-    """Make the image of a slice from counts alone; None if the flicker is known by the times of events only."""
-    counted = count_slice(raw, 1e6 / expected_hz)
-    signal = signal_of_counts(counted.statistics, counted.triggers, counted.data_bytes, expected_hz)
-    if signal is None or signal.flicker is None:
-        return None
+def _read_events(path: Path, expected_hz: float | None) -> LiveImage:
+    """Make the image of an event camera's slice from counts: of whole periods if it holds any."""
+    counted = count_slice(RawFile.open(path), 1e6 / expected_hz if expected_hz else math.inf)
+    signal = measure_signal(counted.statistics, counted.triggers, expected_hz)
     if not counted.periods:
         values = counted.counts.sum(axis=0, dtype=np.float32)
-        return LiveImage(np.minimum(values, 1.0), "count", 0.5, signal, None, None)
+        if expected_hz:
+            return LiveImage(np.minimum(values, 1.0), True, 0.5, signal, None)
+        return LiveImage(values, False, 0.5, signal, None)
     image = make_quick_image(counted.counts, counted.periods)
-    return LiveImage(image.image, image.name, _LEAST_FIRED, signal, image.hot_pixels, None)
-
-
-def _images(events: Events, size: tuple[int, int], signal: SignalFigures) -> EventImages | None:
-    """Return the event images of whole periods; None if the slice holds none."""
-    if signal.flicker is None or not len(events.t):
-        return None
-    window_us = 0.0, float(events.t[-1]) + 1.0
-    try:
-        return make_images(events.t, events.x, events.y, events.p, size, signal.flicker, window_us=window_us)
-    except CalibrationError:
-        return None
-
-
-def _counts(events: Events, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the number of events of each pixel, (H, W)."""
-    inside = (events.x < size[0]) & (events.y < size[1])
-    places = events.y[inside].astype(np.int64) * size[0] + events.x[inside]
-    return np.bincount(places, minlength=size[0] * size[1]).reshape(size[1], size[0]).astype(np.float32)
+    return LiveImage(image.image, True, _LEAST_FIRED, signal, None)
 
 
 def _read_frames(path: Path) -> LiveImage:
@@ -404,4 +272,4 @@ def _read_frames(path: Path) -> LiveImage:
     highest = float(np.iinfo(frames.dtype).max)
     values = frames[0].astype(np.float32) if len(frames) == 1 else frames.mean(axis=0, dtype=np.float32)
     saturated = float(np.mean(frames == highest))
-    return LiveImage(np.asarray(values, np.float32), "picture", _LEAST_GREY * highest, None, None, saturated)
+    return LiveImage(np.asarray(values, np.float32), True, _LEAST_GREY * highest, None, saturated)

@@ -5,14 +5,12 @@ The engine's compiled loops hold Python's global lock for tens of milliseconds. 
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any, Final
 
 from bench.base.errors import BenchError
 from bench.base.worker_process import WorkerProcess, answer_questions
 from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
 
-_FORGET: Final = "forget"
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Small matrices gain nothing from more threads, and these take the cores from camera and page."""
 
@@ -26,7 +24,13 @@ class MeterProcess:
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[bytes, LiveFigures]:
         """Measure a slice. Raises BenchError if it could not be measured; the next one may be."""
-        answer: tuple[bytes, LiveFigures] | str = self._ask((part, setting))
+        try:
+            answer: tuple[bytes, LiveFigures] | str = self._worker.ask((part, setting))
+        except EOFError as error:
+            raise BenchError(
+                "The process that measures has ended by itself.",
+                remedy="It is started again; wait some seconds.",
+            ) from error
         if isinstance(answer, str):
             raise BenchError(
                 f"The slice could not be measured: {answer}",
@@ -34,23 +38,9 @@ class MeterProcess:
             )
         return answer
 
-    def forget(self) -> None:
-        """Forget what was seen. A process that has just ended has forgotten already."""
-        with suppress(BenchError):
-            self._ask(_FORGET)
-
     def close(self) -> None:
         """End the measuring."""
         self._worker.close()
-
-    def _ask(self, question: Any) -> Any:
-        try:
-            return self._worker.ask(question)
-        except EOFError as error:
-            raise BenchError(
-                "The process that measures has ended by itself.",
-                remedy="It is started again; wait some seconds.",
-            ) from error
 
 
 Meter = LiveMeter | MeterProcess
@@ -62,8 +52,6 @@ def main() -> None:
 
     def answer(question: Any) -> Any:
         try:
-            if question == _FORGET:
-                return meter.forget()
             return meter.measure(*question)
         except Exception as error:  # noqa: BLE001 - one bad slice must not end the measuring
             return f"{type(error).__name__}: {error}"

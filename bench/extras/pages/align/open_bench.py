@@ -11,13 +11,13 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from typing import Any, TypeVar
 
 from bench.base.clock import BenchClock
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
 from bench.extras.pages.align.controls import StageControl
+from bench.extras.pages.align.figure_rows import FigureRow
 from bench.extras.pages.align.live_figures import LiveSetting
 from bench.extras.pages.align.live_loop import LiveLoop
 from bench.extras.pages.align.meter import Meter
@@ -51,8 +51,6 @@ _IMX636: Mapping[str, tuple[int, int]] = {
 """Ranges of the biases where the camera's driver does not state them; the camera refuses what it cannot do."""
 RANGES = {"duty_percent": (1.0, 99.0), "level_percent": (0.1, 100.0)}
 """Lowest and highest value of each number besides the frequency, whose range the station states."""
-
-_ALL_OPEN = "All devices are open. Nothing was moved, and the light was not switched."
 
 ACTIONS: Mapping[str, tuple[str, ...]] = {
     "lens turn": ("deg",),
@@ -88,93 +86,87 @@ class CameraControl:
         return not isinstance(self._config, FrameCameraSection)
 
     @property
-    def biases(self) -> Mapping[str, int]:
-        """Offsets of the biases from the factory values, as read back."""
-        biases: Mapping[str, int] = self.settings.get("biases", {})
-        return biases
+    def values(self) -> Mapping[str, float | None]:
+        """Biases, as offsets from the factory values, or exposure and gain, as read back; empty if there are none."""
+        if self.is_event:
+            biases = self.settings.get("biases", {})
+            return {name: value for name, value in biases.items() if name in self._ranges}
+        if isinstance(self._config, OpenCvCameraConfig):
+            return {name: self.settings.get(name) for name in ("exposure", "gain")}
+        return {}
 
     @property
-    def frame_settings(self) -> Mapping[str, float | None]:
-        """Exposure and gain of a camera that OpenCV opens, as read back; empty for other cameras."""
-        if not isinstance(self._config, OpenCvCameraConfig):
-            return {}
-        return {name: self.settings.get(name) for name in ("exposure", "gain")}
+    def changed(self) -> Mapping[str, float]:
+        """Those of `values` that differ from what the station file states."""
+        expected = self._expected
+        return {n: v for n, v in self.values.items() if v is not None and expected.get(n) not in (None, v)}
+
+    @property
+    def _expected(self) -> Mapping[str, float | None]:
+        return self._of_station.get("biases", {}) if self.is_event else self._of_station
 
     def use(self, loop: LiveLoop) -> None:
         """Change settings through this loop from now on."""
         self._loop = loop
 
-    def set_bias(self, name: str, value: int) -> Mapping[str, int]:
-        """Change one bias, offset in the camera's own steps; read all back. When refused, nothing was sent."""
-        ranges, config = self._ranges, self._config
-        if isinstance(config, FrameCameraSection) or name not in ranges:
-            raise ControlRefused(
-                f"This camera has no bias {name!r}. Nothing was sent.",
-                where="camera",
-                remedy=f"It has {', '.join(ranges)}." if self.is_event else "Set exposure and gain instead.",
-            )
-        low, high = ranges[name]
-        if not low <= value <= high:
-            raise ControlRefused(
-                f"{name} {value} is outside {low} to {high}. Nothing was sent.",
-                where="camera",
-                remedy="Give a value in this range.",
-            )
-        with self._lock:
-            # The names are those of the station; other biases keep the value that was read back.
-            wanted = {bias: now for bias, now in self.biases.items() if bias in ranges} | {name: value}
-            settings = CameraSettings(wanted, trigger_in=True, roi=config.roi)
-            applied = self._between_slices(lambda: event_camera(self._camera).apply(settings))
-            self.settings = {**self.settings, "biases": dict(applied.biases)}
-        self._on_change()
-        return self.biases
-
-    def set_frame(self, name: str, value: float) -> Mapping[str, float | None]:
-        """Change ``exposure`` or ``gain`` of a frame camera that has it (else refused), and read both back."""
-        if name not in self.frame_settings:
+    def set(self, name: str, value: float) -> Mapping[str, float | None]:
+        """Change a bias, in the camera's own steps, or exposure or gain; read all back. Refused: nothing was sent."""
+        names = self._ranges if self.is_event else self.values
+        if name not in names:
             raise ControlRefused(
                 f"This camera has no setting {name!r}. Nothing was sent.",
                 where="camera",
-                remedy="Set it at the camera, or with its maker's program.",
+                remedy=f"It has {', '.join(names)}." if names else "Set it at the camera itself.",
             )
         with self._lock:
-            wanted = FrameSettings(**{**self.frame_settings, name: value})
-            applied = self._between_slices(lambda: frame_camera(self._camera).apply(wanted))
-            self.settings = {**self.settings, **asdict(applied)}
+            if self.is_event:
+                self._set_bias(name, value)
+            else:
+                wanted = FrameSettings(**{**self.values, name: value})
+                frame = self._between_slices(lambda: frame_camera(self._camera).apply(wanted))
+                self.settings = {**self.settings, **asdict(frame)}
         self._on_change()
-        return self.frame_settings
+        return self.values
+
+    def _set_bias(self, name: str, value: float) -> None:
+        low, high = self._ranges[name]
+        if not low <= value <= high or value != int(value):
+            raise ControlRefused(
+                f"{name} {value:g} is no whole number from {low} to {high}. Nothing was sent.",
+                where="camera",
+                remedy="Give a value in this range.",
+            )
+        # Other biases keep the value that was read back.
+        biases = {bias: int(now) for bias, now in self.values.items() if now is not None} | {name: int(value)}
+        roi = None if isinstance(self._config, FrameCameraSection) else self._config.roi
+        settings = CameraSettings(biases, trigger_in=True, roi=roi)
+        applied = self._between_slices(lambda: event_camera(self._camera).apply(settings))
+        self.settings = {**self.settings, "biases": dict(applied.biases)}
 
     def _between_slices(self, apply: Callable[[], T]) -> T:
         assert self._loop is not None
         return self._loop.on_camera(apply).result(timeout=ANSWER_S)
 
+    def row(self) -> FigureRow:
+        """Return whether the camera is set as in a run, for the page."""
+        found = [*self.reasons, *(f"{name} is changed" for name in self.changed)]
+        expected = "as in the station file"
+        return FigureRow("Camera", "; ".join(found) or expected, expected=expected, good=not found)
+
     def as_data(self) -> dict[str, Any]:
         """Return the camera as the page shows it."""
-        ranges = self._ranges
-        identity = self.identity
         return {
             "kind": "event" if self.is_event else "frame",
-            "model": " ".join(part for part in (identity.maker, identity.model) if part),
-            "serial": identity.serial,
-            "width_px": identity.width,
-            "height_px": identity.height,
-            "lens": self._config.lens,
-            "biases": [
+            "settings": [
                 {
                     "name": name,
                     "value": value,
-                    "lowest": ranges[name][0],
-                    "highest": ranges[name][1],
-                    "expected": self._of_station["biases"].get(name),
+                    "range": list(self._ranges[name]) if self.is_event else None,
+                    "expected": self._expected.get(name),
+                    "changed": name in self.changed,
                 }
-                for name, value in self.biases.items()
-                if name in ranges
+                for name, value in self.values.items()
             ],
-            "frame": [
-                {"name": name, "value": value, "expected": self._of_station.get(name)}
-                for name, value in self.frame_settings.items()
-            ],
-            "reasons": list(self.reasons),
         }
 
 
@@ -259,6 +251,16 @@ class LightControl:
         if changed:
             self._on_change()
 
+    def row(self) -> FigureRow:
+        """Return what the light does, for the page."""
+        now = self.reading
+        words = {None: "unknown", True: "on", False: "off"}[now.on]
+        if now.failure is not None and now.failure.kind == "StillOpening":
+            words = "opening"
+        elif now.faults:
+            words = "; ".join(now.faults)
+        return FigureRow("Light", words, expected="on", good=words == "on")
+
     def as_data(self) -> dict[str, Any]:
         """Return the light as the page shows it."""
         now = self.reading
@@ -273,7 +275,6 @@ class LightControl:
             "level_percent": now.flicker.level_percent,
             "read_back": None if settings is None else asdict(settings),
             "frequency_range_hz": list(self._config.frequency_range_hz),
-            "faults": list(now.faults),
             "failure": now.failure.to_dict() if now.failure else None,
         }
 
@@ -299,35 +300,12 @@ class LightControl:
                 )
 
 
-def follow(bench: Bench, say: Callable[[str], None]) -> None:
-    """Say when stage and light are open too, or why they could not be opened; ``say`` is called by any thread."""
-    if not bench.devices.late:
-        say(_ALL_OPEN)
-    for name, device in bench.devices.late.items():
-        device.listen(partial(_ended, bench, say, name))
-
-
 def try_again(bench: Bench) -> bool:
     """Begin to open again what could not be opened; False if there was nothing."""
     failed = [device for device in bench.devices.late.values() if device.state == "failed"]
     for device in failed:
         device.start()
     return bool(failed)
-
-
-def _ended(bench: Bench, say: Callable[[str], None], name: str) -> None:
-    """Read a device that has just been opened, or say why it could not be."""
-    if name == "light":
-        bench.light.look()
-        failure = bench.light.reading.failure
-    else:
-        bench.stage.look_safely(thoroughly=True)
-        failure = bench.stage.failure
-    late = bench.devices.late
-    if late[name].state == "failed" and failure is not None:
-        say(f"The {name} could not be opened. {failure.message}")
-    elif all(device.state == "open" for device in late.values()):
-        say(_ALL_OPEN)
 
 
 class SimulatedHands:
@@ -392,7 +370,6 @@ def open_bench(
     make_meter: Callable[[], Meter],
     setting: Callable[[], LiveSetting],
     on_change: Callable[[], None],
-    say: Callable[[str], None],
 ) -> Bench:
     """Open all devices, or none, and make their controls; the loop is not started yet."""
     clock = BenchClock()
@@ -410,7 +387,7 @@ def open_bench(
         devices.close()
         meter.close()
         raise
-    stage = StageControl(devices.stage, on_change, say)
+    stage = StageControl(devices.stage, on_change)
     stage.look_safely(thoroughly=True)
     loop = LiveLoop(devices.camera, setting, stage.known_deg, on_change, meter, lambda: stage.moving)
     camera.use(loop)

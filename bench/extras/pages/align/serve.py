@@ -10,15 +10,13 @@ from functools import partial
 from bench.base.clock import stop_on_signals
 from bench.base.errors import ScriptError
 from bench.extras.pages.align.align_app import align_app
-from bench.extras.pages.align.page_requests import PageFiles
 from bench.extras.pages.align.session import Session
 from bench.extras.pages.web.server import PageServer, print_line
 from bench.extras.pages.web.token import PageToken
 from bench.record.device_end import DeviceEnd
 from bench.stations.placeholders import find_placeholders
-from bench.stations.station import SHIPPED_STATIONS, load_station
+from bench.stations.station import load_station
 from drivers.errors import DriverError
-from sequences.reader import find_document
 
 _STOPPED = 0  # Exit status: all devices confirmed that they are safe
 _NOT_CONFIRMED = 1  # Exit status: one did not
@@ -37,8 +35,7 @@ def align_on_page(
     Other computers need a ``token`` (else `UsageError`).
     """
     session = make_session(station)
-    path = find_document(station, SHIPPED_STATIONS)
-    server = PageServer(align_app(session, PageFiles(str(path))), host=host, port=port, token=token)
+    server = PageServer(align_app(session), host=host, port=port, token=token)
     opening = threading.Thread(target=_open, args=(session,), name="align-open", daemon=True)
 
     def ready() -> None:
@@ -97,6 +94,6 @@ def _stop_soon(session: Session) -> None:
 
     def stop() -> None:
         with contextlib.suppress(DriverError):  # `leave` stops again, and says what was confirmed
-            session.stop("because the program ends")
+            session.stop()
 
     threading.Thread(target=stop, name="align-signal-stop", daemon=True).start()

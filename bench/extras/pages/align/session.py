@@ -1,20 +1,21 @@
-"""One session of aligning: the open devices, the live picture, the controls, and the list of what happened, for a page.
+"""One session of aligning: the open devices, the live picture, and the page that holds the controls.
 
 Nothing moves and no light goes on unless a method was called that asks for it. `Session.stop` reaches the stage's
-controllers from any thread. A stage set in motion by a page is stopped when that page is lost.
+controllers from any thread. A stage that moves is stopped when the page with the controls is lost.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any
 
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
+from bench.extras.pages.align.figure_rows import FigureRow
+from bench.extras.pages.align.holder import Holder
 from bench.extras.pages.align.live_figures import LiveSetting
 from bench.extras.pages.align.live_loop import LivePicture
 from bench.extras.pages.align.meter import Meter, MeterProcess
@@ -22,11 +23,10 @@ from bench.extras.pages.align.open_bench import (
     Bench,
     OpenDevices,
     close_bench,
-    follow,
     open_bench,
     try_again,
 )
-from bench.extras.pages.align.owners import Owners
+from bench.extras.pages.align.station_lines import station_lines
 from bench.extras.pages.web.server_sent import Changes
 from bench.record.device_end import DeviceEnd
 from bench.stations.orphans import SeparateDevices
@@ -34,45 +34,12 @@ from bench.stations.station import Station
 from drivers.errors import DriverError
 from sequences.reader import Located
 
-KEPT: Final = 50  # Entries of a session; older ones are dropped
-SHOWN: Final = 20  # Of these on the page, the newest
-_SAME_S: Final = 10.0
-"""Time within which a further step replaces the entry of the one before, s."""
 _WATCH_S = 0.05  # Below what a person notices as a delay
 _LOOK_MOVING_S = 0.15  # Often enough to follow a move by eye
 _LOOK_RESTING_S = 1.0  # Nothing changes by itself; somebody may turn the stage by hand
 _LOOK_THOROUGHLY_S = 4.0  # Faults and limits take more queries
+_OLD_S = 6.0  # Age of a picture from which it shows nothing any more: the longest slice, and its measurement
 _LOOK_LIGHT_S = 2.0  # A generator's front panel may be touched; each query takes its line
-
-
-class Happened:
-    """The list of what happened; ``clock`` returns the time, s since 1970."""
-
-    def __init__(self, on_change: Callable[[], None], clock: Callable[[], float] = time.time) -> None:
-        self._on_change = on_change
-        self._clock = clock
-        self._lock = threading.Lock()
-        self._entries: deque[dict[str, Any]] = deque(maxlen=KEPT)
-        self._topic = ""
-        self._count = 0
-
-    def say(self, text: str, topic: str = "") -> None:
-        """Add a sentence on a topic, in place of a recent one on the same; an empty topic is always a new entry."""
-        now_s = self._clock()
-        topic = topic or text
-        with self._lock:
-            last = self._entries[-1] if self._entries else None
-            if last is not None and topic and topic == self._topic and now_s - last["time_s"] < _SAME_S:
-                self._entries.pop()
-            self._topic = topic
-            self._count += 1
-            self._entries.append({"number": self._count, "time_s": now_s, "text": text})
-        self._on_change()
-
-    def as_data(self) -> list[dict[str, Any]]:
-        """Return the newest entries: number, time (s since 1970) and text of each, the newest last."""
-        with self._lock:
-            return list(self._entries)[-SHOWN:]
 
 
 class Session:
@@ -91,13 +58,12 @@ class Session:
         self._opener = opener
         self._make_meter = make_meter
         self.changes = Changes()
-        self.owners = Owners(self.changes.tell)
+        self.holder = Holder()
         self._lock = threading.Lock()
         self._bench: Bench | None = None
         self._opening = False
         self._failure: Failure | None = None
         self._ended = threading.Event()
-        self._happened = Happened(self.changes.tell)
         self._watchers: list[threading.Thread] = []
 
     # ------------------------------------------------------------------ opening and closing
@@ -134,17 +100,14 @@ class Session:
                 self._make_meter,
                 self._setting,
                 self.changes.tell,
-                self.say,
             )
             bench.loop.start()
         except FORESEEN as error:
             self._failure = Failure.of(error)
-            self.say(f"The devices could not be opened. {self._failure.message}")
         finally:
             self._opening = False
             self.changes.tell()
         if self._bench is not None:
-            follow(self._bench, self.say)
             self._watch()
         return self._failure
 
@@ -187,18 +150,12 @@ class Session:
             "open" if bench else "opening" if self._opening else "failed" if self._failure else "closed"
         )
         shown: dict[str, Any] = {
-            "station": {
-                "name": station.name,
-                "file": self.station.file,
-                "simulated": station.is_simulated,
-                "laboratory": station.laboratory,
-            },
+            "station": {"name": station.name, "file": self.station.file, "simulated": station.is_simulated},
             "devices": {
                 "state": condition,
                 "failure": self._failure.to_dict() if self._failure else None,
             },
-            "controls": self.owners.as_data(),
-            "messages": self._happened.as_data(),
+            "holder": self.holder.page,
             "stage": None,
             "light": None,
             "camera": None,
@@ -206,41 +163,43 @@ class Session:
         }
         if bench is not None:
             failure = bench.loop.failure
+            rows = self._rows(bench)
             shown |= {
                 "stage": bench.stage.as_data(),
                 "light": bench.light.as_data(),
-                "camera": {
-                    **bench.camera.as_data(),
-                    "failure": failure.to_dict() if failure else None,
-                },
+                "camera": {**bench.camera.as_data(), "failure": failure.to_dict() if failure else None},
                 "hands": {"seen": bench.hands.seen} if bench.hands.available else None,
+                "rows": {row.name: row._asdict() for row in rows},
+                "not_ready": [row.name for row in (*rows, *bench.loop.latest.rows) if row.good is False],
+                "station_lines": station_lines(
+                    station,
+                    position_deg={} if bench.stage.moving else bench.stage.known_deg(),
+                    camera=bench.camera.changed,
+                    level_percent=bench.light.reading.flicker.level_percent,
+                ),
             }
         return shown
 
-    def say(self, text: str, topic: str = "") -> None:
-        """Show a sentence on the pages. See `Happened.say`."""
-        self._happened.say(text, topic)
+    def _rows(self, bench: Bench) -> list[FigureRow]:
+        """Return what the devices do, each judged; without a new picture, the camera is not ready."""
+        camera, latest = bench.camera.row(), bench.loop.latest
+        if bench.loop.failure is not None or time.monotonic() - latest.figures.time_s > _OLD_S:
+            camera = camera._replace(value="no new picture", good=False)
+        return [bench.stage.row(), bench.light.row(), camera]
 
     # ------------------------------------------------------------------ what a person asks for
 
-    def stop(self, why: str = "on request") -> None:
-        """Stop the stage now, because of ``why``. For any thread, at any time."""
-        bench = self._bench
-        if bench is None:
-            return
-        try:
-            bench.stage.stop()
-        except DriverError as error:
-            self.say(f"CHECK THE BENCH: the stage did not confirm its stop. {Failure.of(error).message}")
-            raise
-        self.say(f"The stage was stopped, {why}.")
+    def stop(self) -> None:
+        """Stop the stage now. For any thread, at any time."""
+        if self._bench is not None:
+            self._bench.stage.stop()
 
-    def stop_for_lost(self, page: str) -> None:
-        """Stop the stage if a page that was closed or lost has set it in motion."""
+    def stop_motion(self) -> None:
+        """Stop the stage if it moves: nobody looks after it any more."""
         bench = self._bench
-        if bench is not None and bench.stage.moving and bench.stage.state.by == page:
-            with suppress(DriverError):  # said by `stop`
-                self.stop("because the page that moved it is gone")
+        if bench is not None and bench.stage.moving:
+            with suppress(DriverError):  # the stage's state says it
+                bench.stage.stop()
 
     def light(self, **changes: Any) -> dict[str, Any]:
         """Change the light by the arguments of `LightControl.set`."""
@@ -262,7 +221,6 @@ class Session:
             light_on=reading.on if reading is not None else None,
             level_percent=reading.flicker.level_percent if reading is not None else None,
             waveform=settings.waveform if settings is not None else "square",
-            homed=bench.stage.state.homed if bench is not None else None,
         )
 
     def _watch(self) -> None:
@@ -274,14 +232,10 @@ class Session:
                 thread.start()
 
     def _guard_motion(self) -> None:
-        """Stop a stage whose page is lost."""
+        """Stop the stage if the page with the controls is lost."""
         while not self._ended.wait(_WATCH_S):
-            bench = self._bench
-            if bench is None or not bench.stage.moving:
-                continue
-            by = bench.stage.state.by
-            if by and self.owners.is_lost(by):
-                self.stop_for_lost(by)
+            if self.holder.is_lost:
+                self.stop_motion()
 
     def _read_devices(self) -> None:
         """Read stage and light from time to time. A device that does not answer is shown, and asked again."""
@@ -296,6 +250,7 @@ class Session:
                 last_s["stage"] = now_s
                 last_s["thorough"] = now_s if thoroughly else last_s["thorough"]
                 bench.stage.look_safely(thoroughly=thoroughly)
+                self.changes.tell()  # what is shown grows old by itself too
             if now_s - last_s["light"] > _LOOK_LIGHT_S and not bench.stage.moving:
                 last_s["light"] = now_s
                 bench.light.look()

@@ -3,21 +3,20 @@
 import numpy as np
 import pytest
 
-from bench.extras.pages.align.focus import measure_focus
+from bench.extras.pages.align.focus import edge_width_px
 from bench.extras.pages.align.focus_curve import FocusCurve
 from calib.stars.quick import find_stars_quickly
 from simulators.optics.picture import TARGET
 from tests.support.live_slices import bench, fired, seen
 
 
-def figures_of(image):
-    return measure_focus(image, find_stars_quickly(image, TARGET), TARGET)
+def width_of(image):
+    return edge_width_px(image, find_stars_quickly(image, TARGET), TARGET)
 
 
 def test_the_edge_width_falls_while_the_ring_is_turned_to_focus():
     widths = [
-        figures_of(fired(seen(bench(circle_px=circle)), level_percent=20.0)).edge_width_px
-        for circle in (20.0, 9.0, 0.0)
+        width_of(fired(seen(bench(circle_px=circle)), level_percent=20.0)) for circle in (20.0, 9.0, 0.0)
     ]
     assert None not in widths
     assert (np.diff(widths) < -0.1).all(), widths
@@ -28,8 +27,7 @@ def test_the_edge_width_falls_while_the_ring_is_turned_to_focus():
 def test_without_stars_and_tag_there_is_no_number():
     image = np.ones((720, 1280), np.float32)
     image[300:400, 500:700] = 0.0
-    figures = figures_of(image)
-    assert (figures.edge_width_px, figures.blur_circle_px) == (None, None)
+    assert width_of(image) is None
 
 
 def curve_of(widths):
@@ -45,22 +43,12 @@ def test_the_best_is_no_single_outlier():
     assert curve_of([0.7, 0.7]).best_px is None
 
 
-def test_a_picture_that_is_shown_again_counts_once():
-    curve = FocusCurve()
-    for time_s in (1.0, 1.0, 1.0, 2.0):
-        curve.add(time_s, 0.7)
-    assert (len(curve.points()), curve.best_px) == (2, None)
-
-
-def test_the_best_begins_anew_and_the_curve_stays_until_it_is_forgotten():
+def test_the_best_begins_anew_and_the_curve_stays():
     curve = curve_of([0.7] * 5)
     curve.begin_best()
     assert (len(curve.points()), curve.best_px) == (5, None)
-    curve.forget()
-    assert curve.points() == []
 
 
 def test_edges_that_look_sharp_in_dim_light_do_not_count():
-    figures = figures_of(fired(seen(bench(circle_px=13.0)), level_percent=10.0))
-    assert figures.regions["centre"] < 2.2  # thresholded edges of stars
-    assert figures.edge_width_px == pytest.approx(13.0 / 4.0, abs=0.6)
+    width_px = width_of(fired(seen(bench(circle_px=13.0)), level_percent=10.0))
+    assert width_px == pytest.approx(13.0 / 4.0, abs=0.6)  # the thresholded edges of stars have 2 px

@@ -11,10 +11,9 @@ from waiting import wait_until
 
 from bench.base.errors import ControlRefused
 from bench.extras.pages.align import live_loop
+from bench.extras.pages.align import session as session_module
 from bench.extras.pages.align.controls import StageControl
-from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter
-from bench.extras.pages.align.live_image import SignalFigures
-from bench.extras.pages.align.live_loop import with_signal_of
+from bench.extras.pages.align.live_figures import LiveMeter
 from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
 
 
@@ -167,26 +166,63 @@ def test_a_failed_move_is_shown_and_the_next_one_is_possible(opened):
 def test_a_page_that_is_lost_stops_its_motion_within_a_second(opened):
     session, devices = opened
     devices.stage.step_deg = 0.005
-    session.owners.enter("page-one", "Chrome")
-    session.bench.stage.move_by({"pan": 5.0}, "page-one")
-    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    session.holder.enter("page-one")
+    session.bench.stage.move_by({"pan": 5.0})
+    session.bench.stage.move_by({"pan": 5.0})
     began_s = time.monotonic()
     wait_until(lambda: "stop" in devices.stage.calls)
     assert time.monotonic() - began_s < 1.5  # 0.8 s on a computer that is not busy
     _rest(session)
     assert devices.stage.at["pan"] < 10
-    wait_until(lambda: "is gone" in session.state()["messages"][-1]["text"])
 
 
 def test_a_page_that_beats_is_left_alone(opened):
     session, devices = opened
-    session.owners.enter("page-one", "Chrome")
-    session.bench.stage.move_by({"pan": 5.0}, "page-one")
-    session.bench.stage.move_by({"pan": 4.0, "tilt": 1.0}, "page-one")
+    session.holder.enter("page-one")
+    session.bench.stage.move_by({"pan": 5.0})
+    session.bench.stage.move_by({"pan": 4.0, "tilt": 1.0})
     for _ in range(12):
-        session.owners.beat("page-one")
+        session.holder.beat("page-one")
         time.sleep(0.1)
     assert "stop" not in devices.stage.calls
+
+
+def test_a_stop_that_is_not_confirmed_is_shouted_where_nobody_waits_for_it(opened):
+    session, devices = opened
+    devices.stage.step_deg, devices.stage.stop_fails = 0.005, True
+    session.bench.stage.move_by({"pan": 5.0})
+    session.stop_motion()
+    assert session.state()["stage"]["failure"]["what"].startswith("CHECK THE BENCH")
+    devices.stage.stop_fails = False
+
+
+def test_ready_names_what_is_not_ready(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 1)
+    assert session.state()["not_ready"] == ["Light", "Picture"]  # what a dark picture lacks is not judged
+    session.light(on=True)
+    devices.stage.homed = False
+    session.bench.stage.look()
+    wait_until(lambda: "Stars" in session.state()["not_ready"])
+    assert "Stage" in session.state()["not_ready"]
+    assert session.state()["rows"]["Stage"]["value"] == "not homed"
+
+
+def test_a_picture_that_has_grown_old_is_not_ready(opened, monkeypatch):
+    session, _ = opened
+    wait_until(lambda: session.picture().number >= 1)
+    monkeypatch.setattr(session_module, "_OLD_S", -1.0)
+    assert session.state()["rows"]["Camera"]["value"] == "no new picture"
+
+
+def test_the_lines_for_the_station_file_follow_pose_and_level(opened):
+    session, _ = opened
+    assert session.state()["station_lines"] == []
+    session.light(level_percent=50.0)
+    session.bench.stage.move_by({"pan": 1.0})
+    _rest(session)
+    assert session.state()["station_lines"][0] == "stage.axes.pan.zero_deg: -1"
+    assert session.state()["station_lines"][-1] == "light.high_v: 2.5"
 
 
 def test_the_light_is_read_back_and_its_range_is_kept(opened):
@@ -241,13 +277,14 @@ def test_an_unplugged_device_is_shown_and_comes_back(opened, device, unplugged, 
 def test_biases_change_between_two_slices_and_are_read_back(opened):
     session, devices = opened
     wait_until(lambda: session.picture().number >= 1)
-    assert session.bench.camera.set_bias("bias_diff_on", 20)["bias_diff_on"] == 20
-    assert session.bench.camera.set_bias("bias_fo", -5)["bias_diff_on"] == 20
+    assert session.bench.camera.set("bias_diff_on", 20)["bias_diff_on"] == 20
+    assert session.bench.camera.set("bias_fo", -5)["bias_diff_on"] == 20
     assert devices.camera.settings.biases["bias_fo"] == -5
-    with pytest.raises(ControlRefused, match="bias_refr 300 is outside -50 to 255"):
-        session.bench.camera.set_bias("bias_refr", 300)
-    with pytest.raises(ControlRefused, match="no bias 'bias_x'"):
-        session.bench.camera.set_bias("bias_x", 0)
+    for wrong in (300, 0.5):
+        with pytest.raises(ControlRefused, match=r"bias_refr .* from -50 to 255"):
+            session.bench.camera.set("bias_refr", wrong)
+    with pytest.raises(ControlRefused, match="no setting 'bias_x'"):
+        session.bench.camera.set("bias_x", 0)
     seen = session.picture().number
     wait_until(lambda: session.picture().number > seen + 1)
 
@@ -310,8 +347,7 @@ def test_a_device_that_fails_during_opening_closes_the_others():
     assert devices.closed
 
 
-def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
-    monkeypatch.setattr(live_loop, "SIGNAL_EVERY_S", 0.5)
+def test_a_slice_holds_the_edges_of_the_light_and_a_moving_stage_makes_it_short(opened, monkeypatch):
     monkeypatch.setattr(live_loop, "SHORTEST_S", 0.02)
     session, devices = opened
     lengths = []
@@ -323,36 +359,21 @@ def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
 
     devices.camera.record = noted
     session.light(on=True, frequency_hz=60.0)
-    wait_until(lambda: lengths.count(4) >= 2, 9.0)
-    assert set(lengths[1:]) == {1, 4}
-    assert lengths.count(1) > 3 * lengths.count(4)
-    first = lengths.index(4)
-    assert 1 not in lengths[1:first]  # the first slice after a change of the light shows the flicker
-
-
-def test_a_short_slice_keeps_the_flicker_of_the_last_longer_one():
-    short = LiveFigures(time_s=2.0, signal=SignalFigures(on_share=0.4))
-    longer = LiveFigures(
-        time_s=1.0, signal=SignalFigures(sync_edges=8, trigger_hz=50.0, jitter_us=0.5, sync_fault="odd")
-    )
-    shown = with_signal_of(short, longer)
-    assert shown.time_s == 2.0
-    assert shown.signal == dataclasses.replace(longer.signal, on_share=0.4)
+    wait_until(lambda: lengths.count(live_loop.PERIODS) >= 2, 9.0)
+    devices.stage.step_deg = 0.005
+    session.bench.stage.move_by({"pan": 5.0})
+    wait_until(lambda: lengths[-1] == live_loop.MOVING_PERIODS)
 
 
 class LateStage:
     """A stage that is not open until it is tried again."""
 
     def __init__(self):
-        self.stage, self.state, self.on_end = FakeDevices().stage, "opening", None
+        self.stage, self.state = FakeDevices().stage, "opening"
         self.error = StillOpening("The stage is still being opened.", where="stage")
-
-    def listen(self, on_end):
-        self.on_end = on_end
 
     def end(self, error=None):
         self.error, self.state = error, "failed" if error else "open"
-        self.on_end()
 
     def start(self):
         self.error, self.state = StillOpening("again.", where="stage"), "opening"
@@ -371,11 +392,11 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
     assert session.open() is None
     try:
         wait_until(lambda: session.picture().number >= 2)
-        assert session.state()["stage"]["failure"]["kind"] == "StillOpening"
+        assert session.state()["rows"]["Stage"]["value"] == "opening"
         late.end(PortLost("no such port.", where="gimbal", remedy="Plug it in."))
+        session.bench.stage.look_safely(thoroughly=True)
         assert session.state()["stage"]["failure"]["remedy"] == "Plug it in."
         assert session.bench.stage.failure.kind == "PortLost"
-        assert "The stage could not be opened. gimbal: no such port." in messages_of(session)
         session.light(on=True)
         with pytest.raises(PortLost):
             session.bench.stage.move_by({"pan": 0.5})
@@ -385,20 +406,15 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
         wait_until(lambda: session.picture().number > before)
         assert not devices.closed
         late.end()
-        assert session.state()["stage"]["failure"] is None
-        assert "All devices are open." in messages_of(session)
+        wait_until(lambda: session.state()["stage"]["failure"] is None)
         session.bench.stage.move_by({"pan": 0.5})
     finally:
         session.close()
 
 
-def messages_of(session):
-    return " ".join(message["text"] for message in session.state()["messages"])
-
-
 def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
     stage, states = FakeStage(), []
-    control = StageControl(stage, lambda: states.append(control.state), lambda _words: None)
+    control = StageControl(stage, lambda: states.append(control.state))
     control.look(thoroughly=True)
     stage.fault, stage.faults = "the motor is stuck", list
     control.home()
@@ -420,9 +436,11 @@ def test_a_changed_bias_is_shown_beside_that_of_the_station_file():
     session, _ = fake_session(devices)
     assert session.open() is None
     try:
-        session.bench.camera.set_bias("bias_fo", 7)
-        shown = {bias["name"]: bias for bias in session.state()["camera"]["biases"]}
+        session.bench.camera.set("bias_fo", 7)
+        shown = {bias["name"]: bias for bias in session.state()["camera"]["settings"]}
         assert (shown["bias_fo"]["value"], shown["bias_fo"]["expected"]) == (7, 0)
         assert (shown["bias_hpf"]["value"], shown["bias_hpf"]["expected"]) == (0, 0)
+        assert session.bench.camera.row().value == "bias_fo is changed"
+        assert session.state()["station_lines"] == ["camera.biases.bias_fo: 7"]
     finally:
         session.close()

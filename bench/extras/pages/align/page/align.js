@@ -1,14 +1,14 @@
 // The align page: shows state and pictures as the server sends them, and sends what a person asks for.
 // Nothing is sent to the devices when the page opens, reloads or reconnects.
-import { el, fill, get, listen, post, setText, showLink } from "/assets/bench.js";
+import { el, fill, listen, post, setText, showLink } from "/assets/bench.js";
 import { draw } from "/assets/own/overlay.js";
-import { beginCurve, forgetCurve, showFigures } from "/assets/own/figures.js";
+import { showFigures } from "/assets/own/figures.js";
 
 const at = (id) => document.getElementById(id);
 const page = ownId();
-let state = null, picture = null, fetching = false, shownNumber = 0, files = null, proposal = null;
-/** Numbers for tests: when pictures came, and how late. */
-window.alignStats = { openedMs: performance.timeOrigin, firstImageMs: null, images: 0, searches: 0, starsTimeS: null, latenciesMs: [] };
+let state = null, picture = null, fetching = false, shownNumber = 0;
+/** Number of pictures shown, for tests. */
+window.alignStats = { images: 0 };
 
 /** The page's own id: kept over a reload of this tab, new in every other tab. */
 function ownId() {
@@ -50,7 +50,7 @@ function number(input) {
 
 // ---------------------------------------------------------------- showing the state
 
-const holds = () => state !== null && (state.controls.holder === page || state.controls.holder === "");
+const holds = () => state !== null && (state.holder === page || state.holder === "");
 
 function showState(next) {
   state = next;
@@ -63,7 +63,7 @@ function showState(next) {
   showLight();
   showBiases();
   showHands();
-  showLog();
+  showLines();
   showOldPicture();
   for (const input of document.querySelectorAll(".controls button, .controls input, .controls select")) {
     if (input.closest("[data-free]")) continue;
@@ -73,32 +73,23 @@ function showState(next) {
   showWhole();
 }
 
-/** Say in one line which figures are not as expected; the figures themselves say by how much. */
+/** Say in one line what is not ready for a run; the figures themselves say by how much. */
 function showWhole() {
   const waiting = { opening: "Opening the devices. Nothing is moved.", failed: "The devices are not open. See above.", closed: "The devices are closed." };
-  if (state.devices.state !== "open") { setText(at("whole"), waiting[state.devices.state]); return; }
-  if (state.camera.failure) { setText(at("whole"), "No new pictures come. See above."); return; }
-  if (!picture || !picture.rows.length) { setText(at("whole"), "No picture yet."); return; }
-  const off = [...picture.rows.filter((row) => row.good === false).map((row) => row.name), ...cameraSettings().filter(isChanged).map((setting) => setting.name)];
-  at("whole").className = `banner ${off.length ? "warn" : "good"}`;
-  setText(at("whole"), picture.figures.moving ? "The stage turns." : off.length ? `Not as expected: ${off.join(", ")}.` : "Every figure is as expected. \"Ready for a run?\" makes the checks of a run.");
+  const off = state.not_ready || [];
+  at("whole").className = `banner ${state.devices.state !== "open" ? "busy" : off.length ? "warn" : "good"}`;
+  setText(at("whole"), waiting[state.devices.state] || (off.length ? `Not ready: ${off.join(", ")}.` : "Ready: every figure is as a run expects it."));
 }
 
-/** Biases of an event camera, or exposure and gain of a frame camera. */
-function cameraSettings() {
-  const camera = state.camera;
-  return !camera ? [] : camera.kind === "frame" ? camera.frame : camera.biases;
+/** Show what a device does. */
+function showDevice(pill, row) {
+  setText(pill, row.value);
+  pill.className = `pill ${row.good ? "good" : "warn"}`;
 }
-
-const isChanged = (setting) => setting.expected !== null && setting.value !== setting.expected;
 
 function showHolder() {
-  const { holder, pages } = state.controls;
-  const mine = pages[page] ? `page ${pages[page].number}` : "this page";
-  const text = holder === page ? `This page (${mine}) has the controls`
-    : holder ? `${pages[holder] ? pages[holder].name : "Another page"} has the controls` : "Nobody has the controls";
-  setText(at("holder"), text);
-  at("take").hidden = holder === page;
+  setText(at("holder"), state.holder === page ? "This page has the controls" : state.holder ? "Another page has the controls" : "Nobody has the controls");
+  at("take").hidden = state.holder === page;
 }
 
 function showTrouble() {
@@ -121,10 +112,7 @@ function showStage() {
   const stage = state.stage, moving = Boolean(stage && stage.work);
   at("stop").classList.toggle("moving", moving);
   if (!stage) { fill(at("axes")); setText(at("stage-state"), ""); return; }
-  const pill = at("stage-state");
-  const opening = Boolean(stage.failure && stage.failure.kind === "StillOpening");
-  setText(pill, opening ? "opening" : !stage.answers ? "does not answer" : stage.work === "home" ? "homing" : moving ? "turning" : stage.homed === false ? "not homed" : "at rest");
-  pill.className = `pill ${opening ? "busy" : !stage.answers ? "bad" : moving ? "busy" : stage.homed === false ? "warn" : "good"}`;
+  showDevice(at("stage-state"), state.rows.Stage);
   const holder = at("axes");
   if (holder.childElementCount !== stage.axes.length) fill(holder, ...stage.axes.map(axisRow));
   stage.axes.forEach((axis, i) => {
@@ -137,13 +125,8 @@ function showStage() {
     row.querySelector("i").hidden = place === null;
     row.querySelector("b").style.left = `${100 * -axis.lowest_deg / span}%`;
   });
-  setText(at("stage-fault"), stage.faults.join("; "));
-  at("home").dataset.off = moving || opening ? "1" : "";
-  // What is written down or turned by angles needs a reference.
-  const unguarded = stage.homed === false, zero = document.querySelector("[name=what][value=zero]");
-  for (const input of [zero, at("propose-pose")]) { input.dataset.off = unguarded ? "1" : ""; input.title = unguarded ? "Press Home first" : ""; }
-  if (unguarded) zero.checked = false;
-  at("home").classList.toggle("main", unguarded);
+  at("home").dataset.off = moving ? "1" : "";
+  at("home").classList.toggle("main", stage.homed === false);
 }
 
 function axisRow(axis) {
@@ -159,11 +142,9 @@ function axisRow(axis) {
 }
 
 function showLight() {
-  const light = state.light, pill = at("light-state");
-  if (!light) { setText(pill, ""); return; }
-  const opening = Boolean(light.failure && light.failure.kind === "StillOpening");
-  setText(pill, opening ? "opening" : light.on === null ? "unknown" : light.on ? "on" : "off");
-  pill.className = `pill ${opening ? "busy" : light.on === null ? "bad" : light.on ? "warn" : ""}`;
+  const light = state.light;
+  if (!light) { setText(at("light-state"), ""); return; }
+  showDevice(at("light-state"), state.rows.Light);
   keep(at("frequency"), light.frequency_hz);
   keep(at("level"), light.level_percent);
   keep(at("duty"), light.duty_percent);
@@ -173,7 +154,7 @@ function showLight() {
   const [low, high] = light.frequency_range_hz;
   const kind = !r ? "" : r.waveform === "steady" ? `steady, ${r.high_v.toFixed(3)} V`
     : `${r.waveform}, ${r.frequency_hz} Hz, duty ${r.duty_percent} %, ${r.low_v.toFixed(3)} V to ${r.high_v.toFixed(3)} V, sync ${r.sync_output ? "on" : "off"}`;
-  setText(at("light-read"), `${r ? `Read back: ${kind}.` : ""} ${light.steady_only ? "" : `This lamp follows ${low} Hz to ${high} Hz.`} ${light.faults.join("; ")}`);
+  setText(at("light-read"), `${r ? `Read back: ${kind}.` : ""} ${light.steady_only ? "" : `This lamp follows ${low} Hz to ${high} Hz.`}`);
 }
 
 /** Show a value in a field, unless a person is changing it. */
@@ -183,45 +164,33 @@ function keep(input, value) {
   if (input.value !== text) input.value = text;
 }
 
+/** Biases of an event camera, or exposure and gain of a frame camera. */
 function showBiases() {
-  const camera = state.camera, frame = camera && camera.kind === "frame";
-  const settings = cameraSettings();
+  const frame = state.camera && state.camera.kind === "frame", settings = state.camera ? state.camera.settings : [];
   at("bias-card").hidden = settings.length === 0;
   setText(at("bias-title"), frame ? "Exposure and gain" : "Biases");
   setText(at("bias-note"), frame ? "in the units of the camera's driver, as read back" : "offsets from the factory values, as read back");
-  setText(at("bias-what"), frame ? "Exposure, gain" : "Biases");
   const holder = at("biases");
-  if (holder.childElementCount !== settings.length) fill(holder, ...settings.map(frame ? frameRow : biasRow));
+  if (holder.childElementCount !== settings.length) fill(holder, ...settings.map(settingRow));
   settings.forEach((setting, i) => {
     const row = holder.children[i];
     for (const input of row.querySelectorAll("input")) keep(input, setting.value);
-    row.classList.toggle("off", isChanged(setting));
-    setText(row.querySelector(".note"), `${setting.lowest === undefined ? "" : `${setting.lowest} to ${setting.highest}; `}${setting.expected === null ? "" : `expected: ${setting.expected}, as in the station file`}`);
+    row.classList.toggle("off", setting.changed);
+    setText(row.querySelector(".note"), `${setting.range ? `${setting.range.join(" to ")}; ` : ""}${setting.expected === null ? "" : `expected: ${setting.expected}, as in the station file`}`);
   });
 }
 
-function frameRow(setting) {
+function settingRow({ name, range }) {
   const send = async (event) => {
     const value = number(event.target);
-    if (Number.isFinite(value)) await ask("frame", { name: setting.name, value });
-    event.target.blur();
-    if (state) showBiases();
-  };
-  return el("div", { class: "bias" }, el("code", {}, setting.name), el("span", {}),
-    el("input", { type: "number", step: "any", onchange: send, "aria-label": setting.name }), el("span", { class: "note" }));
-}
-
-function biasRow(bias) {
-  const send = async (event) => {
-    const value = number(event.target);
-    if (Number.isFinite(value)) await ask("bias", { name: bias.name, value });
+    if (Number.isFinite(value)) await ask("camera", { name, value });
     event.target.dataset.dirty = "";
     event.target.blur();
     if (state) showBiases();
   };
-  const range = { min: bias.lowest, max: bias.highest, step: 1, onchange: send, "aria-label": bias.name };
-  return el("div", { class: "bias" }, el("code", {}, bias.name), el("input", { type: "range", ...range }),
-    el("input", { type: "number", ...range }), el("span", { class: "note" }));
+  const limits = { ...(range ? { min: range[0], max: range[1], step: 1 } : { step: "any" }), onchange: send, "aria-label": name };
+  return el("div", { class: "bias" }, el("code", {}, name), range ? el("input", { type: "range", ...limits }) : el("span", {}),
+    el("input", { type: "number", ...limits }), el("span", { class: "note" }));
 }
 
 function showHands() {
@@ -240,28 +209,20 @@ function showOldPicture() {
   setText(at("dark"), shownNumber > 0 ? "No new picture" : "No picture yet");
 }
 
-function showLog() {
-  const holder = at("log"), key = JSON.stringify(state.messages.map((m) => m.number));
-  if (holder.dataset.key === key) return;
-  holder.dataset.key = key;
-  fill(holder, ...state.messages.slice().reverse().map((m) => el("li", {},
-    el("time", {}, `${new Date(m.time_s * 1000).toISOString().slice(11, 19)} UTC`), m.text)));
+function showLines() {
+  const lines = state.station_lines || [];
+  at("station-card").hidden = lines.length === 0;
+  setText(at("station-lines"), lines.join("\n"));
 }
 
 // ---------------------------------------------------------------- showing pictures
 
 function showPicture(next) {
   picture = next;
-  window.alignStats.latenciesMs.push(Date.now() - next.made_s * 1000);
-  if (window.alignStats.latenciesMs.length > 500) window.alignStats.latenciesMs.shift();
   if (next.number === 0) { shownNumber = 0; return; }
   if (next.number < shownNumber) shownNumber = 0; // the devices were opened again
-  const f = next.figures;
-  if (f.stars_time_s !== window.alignStats.starsTimeS) { window.alignStats.searches += 1; window.alignStats.starsTimeS = f.stars_time_s; }
-  if (state) showWhole();
-  setText(at("rates"), `Picture ${next.number}${f.image_kind === "none" ? "" : ` (${f.image_kind})`}: ${next.images_per_s.toFixed(1)} pictures/s, stars ${next.stars_per_s.toFixed(1)} times/s; recorded in ${Math.round(next.record_ms)} ms, measured in ${Math.round(next.measure_ms)} ms`);
-  showFigures(f, next.rows);
-  showTurn(f);
+  showFigures(next);
+  showTurn(next.figures.turn);
   fetchImage();
 }
 
@@ -281,7 +242,6 @@ async function fetchImage() {
       if (state) showOldPicture();
       document.documentElement.style.setProperty("--aspect", (wanted.figures.width_px || 16) / (wanted.figures.height_px || 9));
       window.alignStats.images += 1;
-      window.alignStats.firstImageMs ??= performance.now();
       redraw(wanted.figures);
     }
   } catch { /* the link is down: the bar says so */ }
@@ -295,21 +255,16 @@ function redraw(figures) {
   draw(at("over"), figures, shows);
 }
 
-function showTurn(f) {
-  const turn = f.turn || {}, wanted = {}, beyond = turn.beyond || {};
-  for (const axis of state && state.stage ? state.stage.axes : []) {
-    const step = turn.unit === "°" ? turn[axis.name] : null;
-    if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.05) wanted[axis.name] = Math.round(step * 100) / 100;
+function showTurn(turn) {
+  const steps = {};
+  for (const axis of state && state.stage && state.stage.homed !== false && turn.unit === "°" ? state.stage.axes : []) {
+    const step = turn[axis.name];
+    if (typeof step === "number" && Math.abs(step) >= 0.05) steps[axis.name] = Math.max(-5, Math.min(5, Math.round(step * 100) / 100));
   }
-  const hand = Object.entries(beyond).map(([axis, angle]) => ` ${axis} would be at ${angle.toFixed(1)}°, beyond its limit: turn the camera in its mount.`).join("");
-  const large = Object.values(wanted).some((step) => Math.abs(step) > 5);
-  for (const name of Object.keys(wanted)) wanted[name] = Math.max(-5, Math.min(5, wanted[name]));
-  const button = at("turn-there"), homed = !(state && state.stage && state.stage.homed === false);
-  button.dataset.steps = JSON.stringify(wanted);
-  button.dataset.off = homed && Object.keys(wanted).length ? "" : "1";
+  const button = at("turn-there");
+  button.dataset.steps = JSON.stringify(steps);
+  button.dataset.off = Object.keys(steps).length ? "" : "1";
   button.disabled = button.dataset.barred !== "" || button.dataset.off === "1";
-  setText(at("turn-note"), !homed ? "Press Home first: the angles of the stage are not known." : Object.keys(wanted).length
-    ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s.toFixed(turn.of === "beam" ? 0 : 1)}°`).join(", ")}${large ? "; at most 5° at a time" : ""}.${hand}` : hand);
 }
 
 /** What the devices may still do when the link is lost, by what was known last. */
@@ -318,63 +273,6 @@ function mayBeOn() {
   const light = state.light && state.light.on !== false ? "The light may still be on. " : "";
   const stage = state.stage && state.stage.work ? "The stage was turning: it stops within a second if Starbench still runs. " : "";
   return `${light}${stage}${light || stage ? "If the program has ended, look at the bench and switch off by hand. " : ""}`;
-}
-
-// ---------------------------------------------------------------- checks and files
-
-async function check() {
-  setText(at("check-note"), "Checking...");
-  const found = await ask("check", { sequence: at("check-sequence").value });
-  setText(at("check-note"), "");
-  if (!found) return;
-  const marks = { good: "✓", bad: "✗", open: "?" }, colours = { good: "good", bad: "bad", open: "warn" };
-  fill(at("checks"), ...found.map((c) => el("li", { "data-verdict": c.verdict },
-    el("span", { class: `mark ${colours[c.verdict]}`, title: c.verdict }, marks[c.verdict]),
-    el("span", {}, el("b", {}, `${c.name}: `), c.found),
-    c.remedy ? el("span", { class: "remedy" }, c.remedy) : null)));
-  const named = (verdict) => found.filter((c) => c.verdict === verdict).map((c) => c.name).join(", ");
-  const bad = named("bad"), open = named("open");
-  setText(at("check-note"), [bad && `Not ready: ${bad}.`, open && `Not checked yet: ${open}.`].filter(Boolean).join(" ") || "All passed: ready for a run");
-  at("check-note").className = `note ${bad ? "bad" : open ? "warn" : "good"}`;
-}
-
-async function loadFiles() {
-  files = await get("/files").catch(() => null);
-  if (!files) return;
-  setText(at("file-note"), files.copy_needed ? `${files.copy_needed} A copy is written to ${files.folder}.` : `Into ${files.station}. Leave the copy's name empty to change the file itself.`);
-  const names = [...files.sequences, ...files.shipped];
-  fill(at("sequences"), ...names.map((name) => el("option", { value: name })));
-  fill(at("check-sequence"), el("option", { value: "" }, "none"), ...names.map((name) => el("option", { value: name }, name)));
-}
-
-/** Open a dialog; on a phone it lies at the end of the page. */
-function show(dialog) {
-  at(dialog).show();
-  at(dialog).scrollIntoView({ block: "nearest" });
-}
-
-async function propose(body) {
-  const found = await ask("propose", body);
-  if (!found) return;
-  proposal = { ...body, mark: found.mark };
-  setText(at("change-title"), found.is_copy ? `New file ${found.file}` : `Change of ${found.file}`);
-  fill(at("change-notes"), ...found.notes.map((note) => el("li", {}, note)));
-  const lines = found.difference ? found.difference.split("\n") : ["Nothing changes."];
-  fill(at("difference"), ...lines.map((line) => el("div", {
-    class: /^(\+\+\+|---|@@)/.test(line) ? "place" : line.startsWith("+") ? "plus" : line.startsWith("-") ? "minus" : "",
-  }, line || " ")));
-  setText(at("change-error"), "");
-  at("write").disabled = !found.difference && !found.is_copy;
-  show("change");
-}
-
-async function write() {
-  try {
-    const done = (await post("/do/write", { page, ...proposal })).result;
-    at("change").close();
-    toast(`Written: ${done.file}`);
-    loadFiles();
-  } catch (error) { setText(at("change-error"), error.message); }
 }
 
 // ---------------------------------------------------------------- what a person does
@@ -387,24 +285,14 @@ document.addEventListener("keydown", (event) => {
   for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
 });
 at("take").addEventListener("click", () => ask("take"));
-at("home").addEventListener("click", () => show("sure"));
+at("home").addEventListener("click", () => { at("sure").show(); at("sure").scrollIntoView({ block: "nearest" }); }); // on a phone it lies at the end of the page
 at("home-now").addEventListener("click", () => { at("sure").close(); ask("home"); });
 at("home-not").addEventListener("click", () => at("sure").close());
 at("turn-there").addEventListener("click", () => ask("jog", { steps_deg: JSON.parse(at("turn-there").dataset.steps) }));
 at("light-on").addEventListener("click", () => sendLight({ on: true }));
 at("light-off").addEventListener("click", () => ask("light", { on: false }));
 at("light-form").addEventListener("submit", (event) => { event.preventDefault(); sendLight({}); });
-at("forget").addEventListener("click", () => { forgetCurve(); ask("forget"); });
-at("check").addEventListener("click", check);
-at("propose").addEventListener("click", () => propose({
-  kind: "station", copy: at("copy").value.trim(),
-  what: [...document.querySelectorAll("[name=what]:checked")].map((box) => box.value),
-}));
-at("propose-pose").addEventListener("click", () => propose({
-  kind: "pose", sequence: at("sequence").value.trim(), name: at("pose-name").value.trim(), copy: at("sequence-copy").value.trim(), light: at("pose-light").checked,
-}));
-at("write").addEventListener("click", write);
-at("cancel").addEventListener("click", () => at("change").close());
+at("forget").addEventListener("click", () => ask("forget"));
 for (const name of ["stars", "tag", "disc", "grid"]) {
   at(`show-${name}`).addEventListener("change", () => redraw(picture && picture.figures));
 }
@@ -436,7 +324,6 @@ for (const f of [1.4, 2, 2.8, 4, 5.6, 8]) {
   at("apertures").append(el("button", { onclick: () => ask("hands", { action: "lens aperture", f_number: f }) }, `f/${f}`));
 }
 
-addEventListener("pagehide", () => navigator.sendBeacon("/do/leave", JSON.stringify({ page })));
 addEventListener("visibilitychange", fetchImage);
 for (const [name, selector] of [["--top", ".top"], ["--whole", "#whole"], ["--view", ".view"]]) {
   new ResizeObserver(([part]) => document.documentElement.style.setProperty(name, `${part.target.offsetHeight}px`)).observe(document.querySelector(selector));
@@ -449,5 +336,3 @@ beat.postMessage(page);
 listen(`/stream?page=${page}`, { state: showState, picture: showPicture }, {
   onlink: (isUp, lastMs) => showLink(isUp, lastMs, "Starbench", isUp ? "" : mayBeOn()),
 });
-loadFiles();
-get("/focus").then((found) => beginCurve(found.edge_width_px)).catch(() => {});

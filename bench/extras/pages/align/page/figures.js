@@ -3,16 +3,16 @@ import { el, fill, setText } from "/assets/bench.js";
 
 const at = (id) => document.getElementById(id);
 const KEPT_S = 60; // as the server keeps the curve
-const curve = []; // [time_s, edge width px]
 let drawn = "";
 
 /** Show all figures of a picture: its rows, and the curve. */
-export function showFigures(figures, rows) {
+export function showFigures({ figures, rows, focus_curve: curve }) {
   for (const group of ["signal", "focus", "turn"]) table(at(`${group}-figures`), rows.filter((row) => row.group === group));
-  const turn = figures.turn;
-  setText(at("turn-of"), turn.of ? `${turn.of === "beam" ? "about, " : ""}to bring the ${turn.of} to the middle` : "");
-  setText(at("rim-poses"), turn.rim_poses);
-  showCurve(figures, rows);
+  const { of } = figures.turn;
+  setText(at("turn-of"), of ? `${of === "beam" ? "about, " : ""}to bring the ${of} to the middle` : "");
+  const best = Number(rows.find((row) => row.name === "Best so far")?.value || NaN), key = JSON.stringify([curve, best]);
+  if (key !== drawn) draw(curve, figures.time_s, best);
+  drawn = key;
 }
 
 function table(holder, rows) {
@@ -29,31 +29,7 @@ function table(holder, rows) {
   });
 }
 
-function showCurve(figures, rows) {
-  const width = figures.focus.edge_width_px, now = figures.stars_time_s;
-  if (typeof width === "number" && typeof now === "number") {
-    const last = curve[curve.length - 1];
-    if (last && now < last[0]) curve.length = 0; // the session began anew
-    if (!last || last[0] !== now) curve.push([now, width]);
-  }
-  while (curve.length && curve[0][0] < figures.time_s - KEPT_S) curve.shift();
-  const best = Number(rows.find((row) => row.name === "Best so far")?.value || NaN);
-  const key = JSON.stringify([now, width, best]);
-  if (key === drawn) return; // stars are searched less often than pictures come
-  drawn = key;
-  draw(figures.time_s, best);
-}
-
-/** Take over the curve that the server has, after a reload. */
-export function beginCurve(points) {
-  const first = curve.length ? curve[0][0] : Infinity;
-  curve.unshift(...points.filter(([t]) => t < first));
-}
-
-/** Forget the curve, as the server does. */
-export function forgetCurve() { curve.length = 0; drawn = ""; }
-
-function draw(nowS, best) {
+function draw(curve, nowS, best) {
   const svg = at("curve"), [w, h, left, low] = [520, 190, 46, 164];
   if (curve.length < 2) {
     const lines = ["No stars and no tag are found.", "Far out of focus, a level of 10 % shows the tag."];

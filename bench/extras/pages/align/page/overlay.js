@@ -7,7 +7,7 @@ export function draw(canvas, figures, shows) {
   const box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
   const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-  const key = JSON.stringify([width, height, shows, figures.width_px, figures.stars_time_s, figures.stars.length, figures.tag_corners_px, figures.square, figures.disc_centre_px, figures.disc_radius_px]);
+  const key = JSON.stringify([width, height, shows, figures.width_px, figures.stars, figures.tag_corners_px, figures.square, figures.disc_centre_px, figures.disc_radius_px]);
   if (canvas.dataset.drawn === key) return; // what lies over the picture changes less often than the picture
   canvas.dataset.drawn = key;
   const c = canvas.getContext("2d");

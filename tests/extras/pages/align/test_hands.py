@@ -1,0 +1,51 @@
+"""The hands at the simulated camera."""
+
+import json
+
+import pytest
+
+from bench.base.errors import ControlRefused
+from bench.extras.pages.align.open_bench import SimulatedHands
+
+
+class Simulation:
+    """A simulated bench that notes its orders."""
+
+    def __init__(self, answer):
+        self.orders, self.answer = [], answer
+
+    def order(self, line):
+        self.orders.append(line)
+        return self.answer
+
+
+def test_hands_turn_the_lens_of_a_simulated_bench_only():
+    bench = Simulation(json.dumps({"ok": True, "now": {"ring_deg": 5.0}}))
+    hands = SimulatedHands(bench)
+    assert hands.do("lens turn", {"deg": 5.0}) == {"ring_deg": 5.0}
+    assert bench.orders == ["lens turn deg=5"]
+    assert hands.seen == {"ring_deg": 5.0}
+    with pytest.raises(ControlRefused, match="is real"):
+        SimulatedHands(None).do("lens turn", {"deg": 5.0})
+
+
+@pytest.mark.parametrize(
+    ("action", "numbers"),
+    [
+        ("lens break", {}),
+        ("pan stall", {"share": 1.0}),
+        ("lens turn", {"x": 1.0}),
+        ("lens turn", {"deg": float("inf")}),
+    ],
+)
+def test_hands_do_only_what_hands_can_do(action, numbers):
+    bench = Simulation("{}")
+    with pytest.raises(ControlRefused):
+        SimulatedHands(bench).do(action, numbers)
+    assert bench.orders == []
+
+
+@pytest.mark.parametrize("answer", ["", '{"ok": false, "error": "f_number must be above 0"}'])
+def test_a_refused_order_is_said(answer):
+    with pytest.raises(ControlRefused, match=r"did not answer|f_number"):
+        SimulatedHands(Simulation(answer)).do("lens aperture", {"f_number": 0.0})
