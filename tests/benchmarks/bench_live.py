@@ -2,9 +2,8 @@
 
     python tests/benchmarks/bench_live.py [--rows focus | turn | time]
 
-``focus``: for levels of the light and diameters of the blur circle, the circle as measured, the edge width, the
-sharpness, and the number of stars. ``turn``: distance of the tag from the middle of the image, px, after the turn that
-the figures give, and errors of the beam's centre and radius. ``time``: CPU milliseconds of one core by stage.
+``focus``: for levels of the light and diameters of the blur circle, the edge width and the number of stars. ``turn``: distance of the tag from the middle of the image, px, after the turn that
+the figures give, and errors of the beam's centre and radius. ``time``: CPU milliseconds of one core.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from typing import Any
 import measured
 import numpy as np
 
-from bench.extras.pages.align import live_figures
 from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
 from bench.stations.station import load_station
 from simulators.optics.picture import TARGET, beam_of, disc_of, project, true_rotation
@@ -36,7 +34,7 @@ def figures(
 
 def focus_rows(folder: Path) -> None:
     """Print the focus figures."""
-    print("light        circle px | measured  edge px  stars")
+    print("light        circle px | edge px  stars")
     for waveform, level in (("square", 100.0), ("square", 30.0), ("square", 10.0), ("sine", 100.0)):
         for circle in (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0):
             live_figures = []
@@ -44,15 +42,11 @@ def focus_rows(folder: Path) -> None:
                 truth = bench(circle_px=circle, roll_deg=roll)
                 angles = {"pan": 1.0 - number, "tilt": 0.5 * number}
                 light = drive(level, waveform=waveform)
-                live_figures.append(
-                    figures(folder, truth, angles, light, LiveMeter(stars_every_s=0.0), float(number))
-                )
-            columns = []
-            for key, form in (("blur_circle_px", ".1f"), ("edge_width_px", ".2f")):
-                values = [value for f in live_figures if (value := getattr(f.focus, key)) is not None]
-                columns.append(f"{min(values):{form}}-{max(values):{form}}" if values else "-")
+                live_figures.append(figures(folder, truth, angles, light, LiveMeter(), float(number)))
+            widths = [f.edge_width_px for f in live_figures if f.edge_width_px is not None]
+            edge = f"{min(widths):.2f}-{max(widths):.2f}" if widths else "-"
             stars = "/".join(str(len(f.stars)) for f in live_figures)
-            print(f"{waveform} {level:4.0f} % {circle:7.0f} | {'  '.join(columns)}  {stars}", flush=True)
+            print(f"{waveform} {level:4.0f} % {circle:7.0f} | {edge}  {stars}", flush=True)
 
 
 def turn_rows(folder: Path) -> None:
@@ -61,7 +55,7 @@ def turn_rows(folder: Path) -> None:
     for circle, level in ((0.0, 100.0), (10.0, 10.0), (20.0, 10.0)):
         for pan, tilt in ((3.0, -2.0), (-6.0, 4.0), (8.0, 5.0), (12.0, -6.0), (17.0, 0.0)):
             truth, angles = bench(circle_px=circle), {"pan": pan, "tilt": tilt}
-            f = figures(folder, truth, angles, drive(level), LiveMeter(stars_every_s=0.0), 0.0)
+            f = figures(folder, truth, angles, drive(level), LiveMeter(), 0.0)
             there = {"pan": pan + (f.turn.pan or 0.0), "tilt": tilt + (f.turn.tilt or 0.0)}
             tag = project(np.array([TARGET.tag_centre_mm]), true_rotation(there, truth), truth)[0]
             rotation = true_rotation(angles, truth)
@@ -85,9 +79,8 @@ def turn_rows(folder: Path) -> None:
 
 
 def time_rows(folder: Path) -> None:
-    """Print the CPU time of each stage, the best of three slices of one period."""
-    live_figures.time = type("clock", (), {"perf_counter": staticmethod(time.process_time)})  # type: ignore[attr-defined]
-    print("slice                    | CPU ms by stage | a picture with stars followed, searched")
+    """Print the CPU time of a picture, the best of three slices of one period."""
+    print("slice                    | CPU ms")
     for name, circle, angles, light in (
         ("sharp", 0.0, {}, drive()),
         ("4 px", 4.0, {}, drive()),
@@ -99,17 +92,12 @@ def time_rows(folder: Path) -> None:
         path = write_slice(
             folder / "slice.raw", seen(bench(circle_px=circle), **angles), light=light, periods=0
         )
-        meter = LiveMeter(stars_every_s=50.0)
-        both = [
-            [
-                meter.measure(LiveSlice(path, 1000.0 * k + s, None, angles), SETTING)[1].took_ms
-                for s in (0.0, 0.5)
-            ]
-            for k in range(4)
-        ][1:]
-        whole, quick = ({k: min(took_ms[i][k] for took_ms in both) for k in both[0][i]} for i in (0, 1))
-        stages = ", ".join(f"{k} {v:.0f}" for k, v in whole.items())
-        print(f"{name:24s} | {stages} | {sum(quick.values()):.0f}, {sum(whole.values()):.0f}", flush=True)
+        meter, took_ms = LiveMeter(), []
+        for number in range(4):
+            before_s = time.process_time()
+            meter.measure(LiveSlice(path, float(number), None, angles), SETTING)
+            took_ms.append(1e3 * (time.process_time() - before_s))
+        print(f"{name:24s} | {min(took_ms[1:]):.0f}", flush=True)
 
 
 def main() -> None:
