@@ -37,7 +37,7 @@ from bench.solve.causes import causes_of_run
 from bench.solve.measured_again import measure_again
 from bench.solve.offline import Reached, nothing_shown
 from bench.solve.result import change_since
-from bench.solve.results_content import other_software, results_content
+from bench.solve.results_content import causes_without_earlier_run, other_software, results_content
 from bench.solve.software import plugins_missing, plugins_stated
 from bench.solve.solution import solve_run
 from bench.stations.devices import simulated_truth
@@ -263,7 +263,7 @@ def _check_causes(evidence: _Evidence, calibration: Calibration, findings: Findi
 
     Causes that rest on an earlier run, or on a computer that stood still, need not be told again.
     """
-    stated = {cause["kind"] for cause in evidence.history.solved.get("causes", ()) if not cause["before"]}
+    stated = {cause["kind"] for cause in causes_without_earlier_run(evidence.history.solved)}
     due = {cause.kind for cause in calibration.causes}
     possible = {cause.kind for cause in causes_of_run(evidence.job, evidence.history, calibration)}
     seen = [Difference(f"causes: {kind}", "missing", None, kind) for kind in sorted(due - stated)]

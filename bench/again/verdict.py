@@ -11,7 +11,7 @@ from bench.evidence.findings import UNREADABLE, Findings
 from bench.record.run_folder import JOURNAL, RESULTS
 from bench.record.stored_run import StoredRun
 from bench.report.verdict import verdict
-from bench.solve.results_content import other_software
+from bench.solve.results_content import causes_without_earlier_run, other_software
 
 _OF_CALIBRATION = ("model", "converged", "rms_px", "sigma", "coverage_factor", "coverage_factors")
 
@@ -36,8 +36,9 @@ def check_verdict(folder: Path) -> Findings:
         findings.fault("results", RESULTS, f"the results give no verdict ({error!r})")
         return findings
     solved = run.history.solved
-    for name in repeated.keys() & solved.keys():
-        if solved[name] != repeated[name]:  # type: ignore[literal-required]
+    told = {**solved, "causes": causes_without_earlier_run(solved)}
+    for name in repeated.keys() & told.keys():
+        if told[name] != repeated[name]:
             findings.fault(
                 "journal", JOURNAL, f"its {name} of the calibration differs from that of the results"
             )

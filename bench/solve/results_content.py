@@ -15,7 +15,7 @@ from bench.base.program import differing_software, forms
 from bench.measure.camera_kinds import CameraKind
 from bench.plan.job import Job
 from bench.record.conformity import conformity
-from bench.record.events import AttemptData
+from bench.record.events import AttemptData, CauseData, Solved
 from bench.record.history import Attempt, History
 from bench.record.measured_facts import GateData
 from bench.record.results import (
@@ -130,11 +130,15 @@ def results_content(
     if judged_limits is not None:
         results["conformity"] = judged_limits
     _add_course(results, history)
-    told = history.solved.get("causes", ())
-    results["causes"] = [cause for cause in told if not cause["before"]]  # a customer has no earlier run
+    results["causes"] = causes_without_earlier_run(history.solved)
     results["truth"] = dict(truth) if truth is not None else None
     results["comparison"] = compare_with_truth(calibration, truth) if truth is not None else []
     return results
+
+
+def causes_without_earlier_run(solved: Solved) -> list[CauseData]:
+    """Return the causes of a calibration that rest on the run and its station: a customer has no earlier run."""
+    return [cause for cause in solved.get("causes", ()) if not cause["before"]]
 
 
 def run_data(job: Job, history: History) -> RunData:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import pytest
 
+from calib.model.cause import Cause
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
     SLEPT,
@@ -150,3 +151,15 @@ def test_a_resealed_change_is_found(forger, trusted, attack):
         fault.kind for fault in verification.faults
     }
     assert (attack.kind, attack.where) in kinds(verification), [str(fault) for fault in verification.faults]
+
+
+def test_the_journal_may_tell_what_rests_on_an_earlier_run_and_results_may_not(forger, trusted):
+    told = Cause(
+        "light set otherwise", 20.0, 40.0, unit="%", stated=50.0, axis="duty", before="run-7"
+    ).to_dict()
+    line("solved", lambda data: data["causes"].append(told))(forger)
+    forger.seal()
+    assert checked(forger.folder, trusted).ok
+    with_hashes(lambda f: f.edit_results(lambda results: results["causes"].append(told)))(forger)
+    forger.seal()
+    assert ("journal", "journal.jsonl") in kinds(checked(forger.folder, trusted))
