@@ -201,9 +201,7 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     monkeypatch.setattr("bench.batch.batch_requests.job_faults", broken)
     leave(tmp_path, add("b"))
     assert one_run(tmp_path).run()["how"] == "finished"
-    assert [data["why"] for data in asked(tmp_path)] == [
-        "the request cannot be processed: ZeroDivisionError: nobody foresaw this"
-    ]
+    assert asked(tmp_path)[0]["why"].endswith("ZeroDivisionError: nobody foresaw this")
 
 
 def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):

@@ -121,7 +121,9 @@ def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
 
 
 @pytest.mark.parametrize(
-    "words", [("passport", "show", "source", "--seal"), ("station", "new")], ids=" ".join
+    "words",
+    [("passport", "show", "source", "--seal"), ("passport", "make", "source", "-o"), ("station", "new")],
+    ids=" ".join,
 )
 def test_a_new_file_that_cannot_be_created_is_refused_before_any_work(say, tmp_path, words):
     (tmp_path / "source").write_text("")
@@ -225,6 +227,7 @@ REFUSED = [
     ("keys trust nonsense", "ssh-ed25519"),
     # Files in the wrong place.
     ("calibrate q.yaml", "This is a queue"),
+    ("passport show q.yaml", "q.yaml: "),
     *(
         (words, "--station")
         for words in ("plan three_pose bench.yaml", "plan bench.yaml", "target bench.yaml")

@@ -8,9 +8,7 @@ import pytest
 from calling import out_of
 from expected_stars import expected_views, write_points
 
-from bench.plan.plan import load_documents, make_plan
-from bench.solve.expectations import expected_uncertainty
-from bench.solve.forecasts import expected_bench, suggest_poses
+from bench.solve.forecasts import expected_bench
 from bench.stations.station import load_station
 
 pytestmark = pytest.mark.usefixtures("calibrated_once")
@@ -55,33 +53,6 @@ def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain
     without = json.loads(out_of(capsys, "calibrate", folder, "--views", "1,2,3", *sizes))
     with_it = json.loads(out_of(capsys, "calibrate", folder, "--views", "1,2,3", "--passport", file, *sizes))
     assert with_it["sigma"]["fx"] < without["sigma"]["fx"]
-
-
-def test_a_passport_is_never_overwritten_and_only_a_passport_is_read(capsys, points, tmp_path):
-    file = tmp_path / "c.json"
-    folder, _ = points
-    words = ("passport", "make", folder, "--image-size", "1280x720", "-o", file)
-    file.write_text("{}")
-    out_of(capsys, *words, status=2)
-    assert file.read_text() == "{}"
-    for name, text in (("a.json", "{}"), ("b.json", "no json"), ("d.json", "[1, 2]")):
-        (tmp_path / name).write_text(text)
-        out_of(capsys, "passport", "show", tmp_path / name, status=2)
-    out_of(capsys, "passport", "show", tmp_path / "none", status=2)
-
-
-def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
-    answer = json.loads(out_of(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
-    assert 0.1 < answer["expected"]["sigma"]["fx"] < 10
-    assert len(answer["suggested"]) == 2
-    planned = make_plan(*load_documents("three_pose", "simulated"))
-    limits = planned.station.value.axes
-    for pose in suggest_poses(planned, 2):
-        for axis, words in limits.items():
-            assert words.limits_deg[0] <= pose.angles_deg[f"{axis}_deg"] <= words.limits_deg[1]
-    nine = expected_uncertainty(make_plan(*load_documents("nine_pose", "simulated")))
-    assert nine is not None
-    assert nine.forecast.projection_map.worst_px < answer["expected"]["worst_px"]
 
 
 def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):

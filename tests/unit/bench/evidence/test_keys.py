@@ -159,9 +159,7 @@ def test_a_line_that_is_not_understood_is_named(tmp_path, line):
 
 def test_a_list_that_is_missing_or_a_pipe_is_refused_at_once(tmp_path):
     path = tmp_path / "signers"
-    with pytest.raises(
-        EvidenceError, match=r"signers: The list of trusted keys cannot be read: No such file"
-    ):
+    with pytest.raises(EvidenceError, match=r"signers: .*No such file"):
         read_signers(path)
     os.mkfifo(path, 0o600)
     with pytest.raises(EvidenceError, match="is not a file"):

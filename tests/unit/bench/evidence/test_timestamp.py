@@ -65,9 +65,8 @@ def test_a_time_stamp_proves_when_the_seal_existed(sealed, signers, authority, o
     assert (standing.faults, standing.not_compared) == ([], [])
     (stamp,) = check_timestamps(sealed, others, Findings()).values()
     assert abs(stamp.utc - datetime.now(UTC)) < timedelta(minutes=1)
-    assert standing.statements == [
-        f"The seal existed at {stamp.utc:%Y-%m-%d %H:%M:%S} UTC by the clock of Example TSA"
-    ]
+    (statement,) = standing.statements
+    assert f"{stamp.utc:%Y-%m-%d %H:%M:%S} UTC by the clock of Example TSA" in statement
     assert authority.accepts(sealed, "SHA256SUMS.tsr", "SHA256SUMS.sig")
 
 
@@ -75,10 +74,7 @@ def test_without_a_trusted_certificate_it_is_not_checked(sealed, signers, author
     stamped(sealed, authority)
     standing = standing_of(sealed, Trust(signers), NOW)
     assert (standing.faults, standing.statements) == ([], [])
-    assert (
-        "no certificate of a time stamping authority is trusted here; it names Example TSA"
-        " (give its root with --tsa-certificates FILE)" in standing.not_compared[0]
-    )
+    assert all(fact in standing.not_compared[0] for fact in ("Example TSA", "--tsa-certificates FILE"))
 
 
 def test_without_the_package_it_is_not_checked(sealed, signers, authority, others, monkeypatch):
@@ -282,9 +278,7 @@ def test_a_stamped_authorisation_proves_the_time_of_the_seal(sealed, signers, au
     assert authority.accepts(sealed, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
     (sealed / "SHA256SUMS.authorised.sig").unlink()
     faults = [fault for fault in standing_of(sealed, trust, NOW).faults if fault.kind == "timestamp"]
-    assert [fault.what for fault in faults] == [
-        "it is a time stamp of SHA256SUMS.authorised.sig, which is missing"
-    ]
+    assert [fault.what.endswith("SHA256SUMS.authorised.sig, which is missing") for fault in faults] == [True]
 
 
 @pytest.mark.parametrize(

@@ -128,10 +128,9 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
         (folder.path / "captures/pose-002-attempt-1.raw").unlink()
         seal(folder, key)
     verification = verify_folder(tmp_path / "run", signers)
-    assert [str(f) for f in verification.faults] == [
-        "captures/pose-002-attempt-1.raw: the journal names this recording; it is missing",
-        "results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw with this hash",
-    ]
+    missing, unnamed = map(str, verification.faults)
+    assert missing.startswith("captures/pose-002-attempt-1.raw: the journal names")
+    assert unnamed.startswith("results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw")
 
 
 @pytest.mark.parametrize("sealed_again", [False, True])

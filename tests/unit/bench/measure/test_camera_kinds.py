@@ -65,9 +65,8 @@ def test_a_flicker_becomes_steady_light_at_its_high_level_for_a_frame_camera():
 def test_a_plan_notes_that_a_flicker_becomes_steady_light():
     planned = make_plan(*load_documents("three_pose", "simulated_frames"))
     assert not planned.faults
-    assert [r.message for r in planned.remarks] == [
-        "the station has a frame camera: the light is steady instead."
-    ]
+    (remark,) = planned.remarks
+    assert "the light is steady" in remark.message
     assert planned.size_bytes > 3 * 8 * 1280 * 720
 
 
@@ -75,9 +74,8 @@ def test_a_sequence_of_steady_light_is_only_for_frame_cameras(steady):
     for_frames = make_plan(*load_documents(steady, "simulated_frames"))
     assert (for_frames.faults, for_frames.remarks) == ((), ())
     for_events = make_plan(*load_documents(steady, "simulated"))
-    assert {f.message for f in for_events.faults} == {
-        "an event camera does not see a steady light: let it flicker (waveform: square)."
-    }
+    assert all("waveform: square" in fault.message for fault in for_events.faults)
+    assert for_events.faults
 
 
 def test_the_settings_of_a_station_reach_its_camera():
@@ -98,10 +96,7 @@ def test_reasons_against_an_event_camera_are_reported_before_a_run():
     settings, reasons = EventKind({"bias_fo": 3}, (0, 0, 10, 10)).prepare(camera)
     camera.apply.assert_called_once_with(CameraSettings({"bias_fo": 3}, True, (0, 0, 10, 10)))
     assert settings["trigger_in"] is False
-    assert reasons == [
-        "camera: its AFK filter cannot be switched off",
-        "camera: its trigger input cannot be enabled",
-    ]
+    assert ["AFK" in reasons[0], "trigger input" in reasons[1], len(reasons)] == [True, True, 2]
 
 
 @pytest.mark.parametrize(
@@ -123,9 +118,8 @@ def test_frames_are_judged_by_saturation_and_by_the_motion_that_the_sequence_all
 
 
 def test_an_incomplete_series_of_frames_is_rejected():
-    assert frame_rejection_reasons(replace(TAKEN, complete=False)) == [
-        "fewer frames were recorded than asked for"
-    ]
+    (reason,) = frame_rejection_reasons(replace(TAKEN, complete=False))
+    assert "fewer frames" in reason
     assert frame_rejection_reasons(TAKEN) == []
 
 

@@ -172,11 +172,17 @@ def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
     assert fault.startswith("s.yaml:3:92: steps[7].solve: only one direction")
 
 
+def places(messages):
+    """File, line and column of each fault, and its path."""
+    return [": ".join(line.split(": ")[:2]) for line in messages]
+
+
 def test_a_setting_of_the_defaults_is_blamed_where_it_is_written():
-    assert faults("defaults:\n  light: {frequency_hz: 20000}\n  record: {window_ms: 0.01}\n" + GOOD) == [
-        "s.yaml:4:25: defaults.light.frequency_hz: 20000 Hz is outside the range of the station's light, 0.1 to 10000 Hz.",
-        "s.yaml:5:23: defaults.record.window_ms: 0.01 ms is shorter than a period of 20000 Hz: use at least 0.05 ms.",
-    ]
+    messages = faults("defaults:\n  light: {frequency_hz: 20000}\n  record: {window_ms: 0.01}\n" + GOOD)
+    assert places(messages) == [
+        "s.yaml:4:25: defaults.light.frequency_hz", "s.yaml:5:23: defaults.record.window_ms",
+    ]  # fmt: skip
+    assert "at least 0.05 ms" in messages[1]  # of the other setting's frequency
 
 
 def test_the_limits_themselves_are_within_and_a_hair_short_of_a_period_still_counts_as_one():
@@ -203,13 +209,12 @@ def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
 
 
 def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
-    assert faults(
-        "steps: [light, {repeat: {poses: {pan_deg: {first: -16, last: 3, count: 9}, tilt_deg: [0, 11]},"
-        " steps: [move, settle, record]}}, solve, report]\n"
+    grid = "{pan_deg: {first: -16, last: 3, count: 9}, tilt_deg: [0, 11]}"
+    assert places(
+        faults(f"steps: [light, {{repeat: {{poses: {grid}, steps: [move, settle, record]}}}}, solve, report]\n")
     ) == [
-        "s.yaml:3:51: steps[1].repeat.poses.pan_deg.first: pan -16 deg is outside the limits of the station, -15 to 15 deg.",
-        "s.yaml:3:90: steps[1].repeat.poses.tilt_deg[1]: tilt 11 deg is outside the limits of the station, -10 to 10 deg.",
-    ]
+        "s.yaml:3:51: steps[1].repeat.poses.pan_deg.first", "s.yaml:3:90: steps[1].repeat.poses.tilt_deg[1]",
+    ]  # fmt: skip
 
 
 def test_a_limit_on_what_is_not_estimated_is_blamed():
@@ -234,11 +239,8 @@ def test_triggers_cannot_be_required_of_a_light_that_gives_none():
 def test_what_somebody_should_know_is_said_and_forbids_nothing():
     made = planned("steps: [light, {move: {pan_deg: 1}}, record, {move: {pan_deg: 2}}, settle, record, solve, {move: {pan_deg: 3}}, settle, record]\n")  # fmt: skip
     assert made.faults == ()
-    assert [remark.message for remark in made.remarks] == [
-        "there is no report step: the run ends without a report.",
-        "recorded directly after a move: no step waits until the stage has settled.",
-        "recorded after the last solve: no result uses this recording.",
-    ]
+    facts = ("no report step", "directly after a move", "after the last solve")
+    assert [fact in remark.message for fact, remark in zip(facts, made.remarks, strict=True)] == [True] * 3
 
 
 @pytest.mark.parametrize(
@@ -310,13 +312,9 @@ def test_angles_are_compared_with_the_station_even_in_a_sequence_that_has_other_
     )
     with pytest.raises(ScriptError) as caught:
         load_documents(str(sequence), "simulated")
-    assert [fault.partition(": ")[2] for fault in caught.value.faults] == [
-        "poses.a[1].pan_deg: must be a number (got 'x').",
-        "poses.a[3].pan_deg: must be a finite number (got '1e999').",
-        "steps[0].mvoe: unknown key. Did you mean 'move'?",
-        "poses.a[0].pan_deg: pan 99 deg is outside the limits of the station, -15 to 15 deg.",
-        "poses.a[2].roll_deg: the stage of the station has no roll axis; it has pan, tilt.",
-    ]
+    assert [fault.split(": ")[1] for fault in caught.value.faults] == [
+        "poses.a[1].pan_deg", "poses.a[3].pan_deg", "steps[0].mvoe", "poses.a[0].pan_deg", "poses.a[2].roll_deg",
+    ]  # fmt: skip
 
 
 def test_the_plan_as_json_is_plain_and_names_no_place_of_this_machine():

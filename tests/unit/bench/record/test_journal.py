@@ -155,13 +155,6 @@ def test_a_journal_larger_than_any_is_refused(three_lines, monkeypatch):
         read_journal(three_lines)
 
 
-def test_the_name_of_a_new_journal_and_every_line_are_synced(path, clocks, synced):
-    with Journal.create(path, **clocks.kwargs()) as journal:
-        assert synced == [path.parent]
-        journal.append("a")
-        assert synced == [path.parent, path]
-
-
 def test_a_broken_journal_is_left_as_it_is(three_lines, clocks):
     broken = three_lines.read_bytes().replace(b"homing", b"hominG") + b"torn"
     three_lines.write_bytes(broken)
@@ -258,7 +251,7 @@ def test_after_a_failed_write_nothing_more_is_written(three_lines, clocks, monke
     assert tuple(map(len, read_journal(three_lines))) == left
 
 
-def test_a_noted_line_is_there_at_once_and_synced_with_the_next_one(path, clocks, synced):
+def test_the_name_of_a_new_journal_is_synced_and_a_noted_line_is_with_the_next_one(path, clocks, synced):
     with Journal.create(path, **clocks.kwargs()) as journal:
         journal.append_unsynced("on_the_way")
         assert synced == [path.parent]

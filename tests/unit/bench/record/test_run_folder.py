@@ -65,12 +65,6 @@ def test_a_folder_that_holds_something_is_refused_left_alone_and_not_left_locked
     RunFolder.create(tmp_path).close()
 
 
-def test_a_folder_whose_making_was_cut_short_is_made_again(tmp_path):
-    RunFolder.create(tmp_path / "run").close()
-    with RunFolder.create(tmp_path / "run") as again:
-        assert again.path == tmp_path / "run"
-
-
 def test_a_file_in_the_way_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     for path in ("file/run", "file"):

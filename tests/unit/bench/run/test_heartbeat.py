@@ -217,10 +217,6 @@ def test_a_computer_that_is_late_for_half_of_the_time_is_too_busy():
     assert text.startswith("12:02:06 UTC  this computer is too busy: it was 5.0 s late in 10 s (load 19.5)")
 
 
-def test_it_is_said_again_after_a_minute():
-    assert len(lines_of(0.5, 2 * REPEAT_S)) == 2
-
-
 def test_a_busy_computer_that_sleeps_is_told_at_once():
     clock, log = LateClock(0.5), Log()
     watch = BusyWatch(log, clock)
@@ -236,5 +232,8 @@ def test_a_busy_computer_that_sleeps_is_told_at_once():
     assert len(log.lines) == 2
 
 
-def test_a_computer_that_is_a_little_late_is_not_too_busy():
-    assert lines_of(0.2, 300.0) == []
+@pytest.mark.parametrize(("share", "seconds", "told"), [(0.5, 2 * REPEAT_S, 2), (0.2, 300.0, 0)])
+def test_a_busy_computer_is_told_again_after_a_minute_and_one_that_is_a_little_late_never(
+    share, seconds, told
+):
+    assert len(lines_of(share, seconds)) == told

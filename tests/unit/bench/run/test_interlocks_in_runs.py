@@ -68,9 +68,7 @@ def test_a_door_opened_at_any_moment_holds_the_run_dark_until_it_is_closed(tmp_p
     (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
     assert released["rule"] == "door"
     assert 30 <= released["held_s"] < 32
-    assert [
-        d for d in scene.data_of(Event.DEVIATION) if "door interlock held for 30 s: it is open" in d["what"]
-    ]
+    assert any("door interlock held for 30 s" in data["what"] for data in scene.data_of(Event.DEVIATION))
     stored = [(d["pose"], d["attempt"]) for d in scene.data_of(Event.CAPTURE_STORED)]
     assert [pose for pose, _ in stored] == [1, 2]
     if when == "camera.record":  # what exists of it is kept in quarantine, and counted

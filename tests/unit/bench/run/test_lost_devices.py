@@ -182,13 +182,6 @@ def test_a_camera_unplugged_after_the_last_recording_is_stated_and_the_run_finis
     assert "camera: not confirmed: the camera does not answer: gone." in shown
 
 
-def test_a_run_that_needs_no_further_step_states_it_at_its_end_only(tmp_path):
-    scene = Scene(tmp_path, poses=TWO)
-    assert scene.run().how == "finished"
-    assert not scene.data_of(Event.DEVICES_LEFT)
-    assert [end["state"] for end in scene.data_of(Event.RUN_ENDED)[0]["devices"]] == ["confirmed safe"] * 3
-
-
 @pytest.mark.parametrize("ended", [True, False])
 def test_a_resumed_run_without_devices_claims_only_what_was_seen(tmp_path, monkeypatch, ended):
     scene = Scene(tmp_path, poses=TWO, end=END)

@@ -146,15 +146,12 @@ def test_opencv_extrinsics_take_target_points_into_the_camera_frame():
         )
 
 
-def test_small_numbers_stay_numbers_in_yaml():
+def test_numbers_in_yaml_stay_numbers_and_sizes_whole():
     # YAML 1.1 takes 1e-05 for a word: a dot must stand in it
     files = exports(calibration("k1k2p1p2"), camera_name="c")
     assert yaml.safe_load(files["ros_camera_info.yaml"])["distortion_coefficients"]["data"][2] == 1e-5
-    assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["distortion_coeffs"][2] == 1e-5
-
-
-def test_kalibr_gets_floats_and_whole_sizes():
-    camera = yaml.safe_load(exports(calibration("k1k2p1p2"), camera_name="c")["kalibr_camchain.yaml"])["cam0"]
+    camera = yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]
+    assert camera["distortion_coeffs"][2] == 1e-5
     assert all(isinstance(v, float) for v in camera["intrinsics"] + camera["distortion_coeffs"])
     assert camera["resolution"] == [1280, 720]
     assert all(isinstance(v, int) for v in camera["resolution"])
@@ -179,9 +176,7 @@ def test_kalibr_gets_four_coefficients_that_project_as_the_lens_does(lens):
 def test_a_lens_kalibr_cannot_carry_is_refused_and_told(lens, monkeypatch):
     wide = {**LENSES[lens], "k3": 40.0}
     monkeypatch.setitem(LENSES, lens, wide)
-    with pytest.raises(
-        FormatCannotCarry, match=r"radtan cannot represent k3.*no other coefficients than k1 k2 p1 p2"
-    ):
+    with pytest.raises(FormatCannotCarry, match=r"radtan cannot represent k3.*k1 k2 p1 p2"):
         kalibr_camchain(calibration(lens), "c")
     files = exports(calibration(lens), camera_name="c")
     assert "kalibr_camchain.yaml" not in files
@@ -206,11 +201,8 @@ def test_metavision_s_json_is_not_written_for_views_of_several_targets():
 def test_metavision_s_json_holds_the_places_of_the_target_in_metres():
     wanted = calibration("k1k2")
     intrinsics = json.loads(exports(wanted, camera_name="c")["metavision.json"])
-    assert (intrinsics["n_kept_views"], intrinsics["image_size"], intrinsics["selected_views"]) == (
-        2,
-        [1280, 720],
-        [1, 1],
-    )
+    assert (intrinsics["n_kept_views"], intrinsics["selected_views"]) == (2, [1, 1])
+    assert intrinsics["image_size"] == [1280, 720]
     translation = intrinsics["tvecs"][0]["data"]
     np.testing.assert_allclose(
         np.multiply(translation, 1000), -wanted.rotations[0] @ wanted.centres[0], atol=1e-9
@@ -246,11 +238,8 @@ def test_the_boresight_is_a_transform_as_ros_publishes_it():
     content = yaml.safe_load(files["boresight.yaml"])
     assert (content["frame_id"], content["child_frame_id"]) == ("flange", "cam_1_optical_frame")
     x, y, z, w = (content["rotation"][name] for name in "xyzw")
-    ahead = [
-        2 * (x * z + w * y),
-        2 * (y * z - w * x),
-        1 - 2 * (x * x + y * y),
-    ]  # the camera's z in the flange
+    # The camera's z in the flange.
+    ahead = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
     np.testing.assert_allclose(ahead, turned.T @ [0, 0, 1], atol=1e-12)
 
 

@@ -67,9 +67,7 @@ def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
     assert fx.startswith("U(fx) of at most 1 px will not be met")
     assert "Its largest part is: " in fx
     expected = float(re.search(r": (\S+) expected", fx).group(1))
-    assert (
-        expected / 2 < float(re.search(r"twice as many poses would leave (\S+) px", fx).group(1)) < expected
-    )
+    assert expected / 2 < float(re.search(r"twice as many .* leave (\S+) px", fx).group(1)) < expected
     assert k2.startswith("sigma_k2 of at most 1e-09 will not be met")
     assert "Nothing but the stars" in alone
 
@@ -88,10 +86,7 @@ def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is
     )
     forecast = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
     assert forecast.chosen == forecast.poses - 3 > 0
-    assert re.search(
-        "not be met: 1.[5-9] expected. Its largest part is: (parallax|scale and|readings)",
-        forecast.remarks[0],
-    )
+    assert re.search("1.[5-9] expected.* part is: (parallax|scale and|readings)", forecast.remarks[0])
 
 
 def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
@@ -135,9 +130,7 @@ def test_on_an_ideal_bench_the_first_poses_suffice():
     (course,) = forecast.courses
     assert course.poses == forecast.poses == 3
     assert course.reached["expanded_fx_px"] < 2.5
-    assert course.text == (
-        "Expected: about 3 poses until U(fx) is at most 2.5 px and U at the corners at most 1.5 px."
-    )
+    assert re.search(r"about 3 poses .* 2\.5 px .* 1\.5 px", course.text)
 
 
 @pytest.mark.usefixtures("coarse")
@@ -147,9 +140,7 @@ def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said(
     assert 4 <= course.poses <= 15
     assert course.to_dict()["poses"] == course.poses
     (below,) = expected(expanded_fx_px=0.5).courses
-    assert (
-        "U(fx) cannot reach the goal of 0.5 px. With all 25 poses, U(fx) would still be about 1" in below.text
-    )
+    assert re.search(r"cannot .* 0\.5 px\. With all 25 poses, .* about 1", below.text)
     assert re.search("Its largest part is: (parallax|scale and eccentricity|readings)", below.text)
     (beyond,) = expected(station="simulated_ideal", expanded_fx_px=0.001, at_most=5).courses
     assert (below.poses, beyond.poses) == (None, None)

@@ -1,5 +1,6 @@
 """Decisions of an `until`: when it ends and with which words, and that its choice is within limits and never a repeat."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -134,11 +135,8 @@ def test_a_goal_out_of_reach_ends_it_when_poses_hardly_help_and_the_largest_part
     assert unknown["at_end"] == {"worst_corner_px": 0.2}
     decision = with_all_poses(2.55)
     assert (decision["ended"], decision["at_end"]["expanded_fx_px"]) == ("unreachable", 2.55)
-    assert decision["why"] == (
-        "U(fx) is 2.6 px; the goal is 2 px. U at the corners is 0.5 px; the goal is 0.3 px. "
-        "With all 25 poses, U(fx) would still be about 2.5 px. The largest part of U(fx) comes from: passport of the "
-        "collimator, 2.4 px."
-    )
+    fact = r"2\.6 px; .* 2 px\. .* 0\.5 px; .* 0\.3 px\. With all 25 poses, .* 2\.5 px\. .*: passport of the collimator, 2\.4 px"
+    assert re.search(fact, decision["why"])
 
 
 @pytest.mark.usefixtures("coarse")
@@ -163,10 +161,7 @@ def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
     calibrated = calibration(4.5, 0.2, stars=1.0, disagreement_of_the_views=2.0)
     decision = decided(job, HistoryOf(range(1, 26)), calibrated)
     assert decision["ended"] == "at_most"
-    assert decision["why"] == (
-        "U(fx) is 4.5 px; the goal is 2 px. 25 recordings are accepted; the step takes no more. The largest part of U(fx) "
-        "comes from: disagreement of the views, 4 px."
-    )
+    assert re.search(r"4\.5 px; .* 2 px\. 25 recordings .*: disagreement of the views, 4 px", decision["why"])
     assert decided(job, HistoryOf([1, 2, 3], chosen=10), calibrated)["ended"] == "failures"
     assert "chosen" in decided(job, HistoryOf([1, 2, 3], chosen=9), calibrated)
     assert decided(job, HistoryOf([1, 2, 3], worked_s=1200.0), calibrated)["ended"] == "minutes"
@@ -179,10 +174,7 @@ def test_without_a_calibration_it_goes_on_and_names_its_goals_and_why_at_the_end
     monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: "No pose is left.")
     decision = decided(job, HistoryOf([1]), None)
     assert decision["ended"] == "no_pose"
-    assert decision["why"] == (
-        "U(fx) is not known; the goal is 2 px. U at the corners is not known; the goal is 0.3 px. Too few stars. "
-        "No pose is left."
-    )
+    assert re.search(r"2 px\. .* 0\.3 px\. Too few stars\. No pose is left\.$", decision["why"])
     assert decision["now"] == {}
     assert decision["problem"] == "Too few stars."
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ from click.testing import CliRunner
 from station_texts import IDEAL, PLAIN, without
 
 from bench.again.recalculated import check_recalculated
-from bench.base.errors import BenchError, StorageError, UsageError
+from bench.base.errors import BenchError, UsageError
 from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
 from bench.evidence.keys import create_key
@@ -23,7 +24,6 @@ from bench.solve.offline import calibrate_paths, odd_sizes, require_one_camera, 
 from bench.solve.offline_folder import write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import sealed_bytes
-from bench.solve.point_files import read_point_file
 from bench.solve.solve_options import ONE_VIEW
 from bench.solve.view_sources import ViewSource, picture_of, refuse_truncated_jpeg, view_sources
 from calib.errors import DegenerateViews, InputMismatch
@@ -41,11 +41,10 @@ def view(name, size):
 @pytest.mark.parametrize(
     ("names", "pictures"), [(("lying", "on end"), [True, True]), (("lying", "points"), [True, False])]
 )
-def test_views_of_different_image_sizes_are_refused_with_their_names(names, pictures):
+def test_views_of_different_image_sizes_are_refused(names, pictures):
     views = [view(name, size) for name, size in zip(names, [(1280, 720), (720, 1280)], strict=True)]
-    with pytest.raises(BenchError, match="different image sizes") as refused:
+    with pytest.raises(BenchError, match="different image sizes"):
         views_of_one_size(views, pictures)
-    assert f"720 x 1280 px ({names[1]}), 1280 x 720 px (lying)" in str(refused.value) or not all(pictures)
 
 
 def test_every_picture_that_is_turned_is_named_before_the_others():
@@ -72,9 +71,7 @@ def test_a_few_images_of_another_size_are_left_out_with_a_word(large, left_out):
     assert [views[at].name for at, _ in odd] == left_out
     for (at, sentence), name in zip(odd, left_out, strict=True):
         width, height = views[at].image_size
-        assert sentence.startswith(
-            f"{name}.png: The image has {width} x {height} px, 8 others have 1280 x 720 px. "
-        )
+        assert re.search(f"^{name}.png: .*{width} x {height} px, 8 others have 1280 x 720 px", sentence)
 
 
 def test_point_files_whose_size_nobody_stated_are_never_odd():
@@ -182,63 +179,6 @@ def test_text_with_a_line_for_each_event_is_a_recording_and_is_found_again_with_
 
 
 GRID = [(x, y) for x in range(5, 60, 10) for y in range(5, 45, 10)]
-
-
-# ---------------------------------------------------------------- point files of other programs
-
-GOOD = "10.5 20.5 4.0 8.0 7\n# a remark\n\n30.5, 40.5, 12.0, 16.0, 9\n"
-
-
-def write(tmp_path, text):
-    path = tmp_path / "image1.txt"
-    path.write_text(text)
-    return path
-
-
-@pytest.mark.parametrize("begin", ["", "\ufeff"], ids=["plain", "byte order mark"])
-def test_corner_coordinates_become_opencv_ones(tmp_path, begin):
-    path = write(tmp_path, begin + GOOD)
-    view = read_point_file(path, image_size=(64, 48))
-    np.testing.assert_array_equal(view.points_px, [[10.0, 20.0], [30.0, 40.0]])
-    np.testing.assert_array_equal(view.target_mm, [[4.0, 8.0], [12.0, 16.0]])
-    assert view.ids.tolist() == [7, 9]
-    assert (view.name, view.image_size) == ("image1", (64, 48))
-    centred = read_point_file(path, image_size=None, origin="centre")
-    assert centred.points_px[0].tolist() == [10.5, 20.5]
-    assert centred.image_size == (32, 42)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("1 2 3 4 5\n1 2 3\n", r"image1\.txt:2: The line has 3 columns instead of 5"),
-        ("1 2 x 4 5\n", r"image1\.txt:1: Not a number"),
-        ("1 2 nan 4 5\n", r"image1\.txt:1: A number is not finite"),
-        ("1 2 3 4 5.5\n", r"image1\.txt:1: .*integer"),
-        ("1 2 3 4 5\n6 7 8 9 5\n", "a point twice"),
-        ("\n# nothing\n", "has no points"),
-        ("1 2 3 4 1e300\n", r"image1\.txt:1: .*integer"),
-        ("5 5 3 4 1\n-1.5 2 3 4 5\n", r"1 of 2 points are outside .* at \(-1\.5, 2\)"),
-    ],
-)
-def test_bad_lines_are_refused_with_their_place(tmp_path, text, words):
-    with pytest.raises(BenchError, match=words):
-        read_point_file(write(tmp_path, text), image_size=None)
-
-
-def test_points_beside_the_image_are_refused_as_of_sides_told_in_the_other_order(tmp_path):
-    path = write(tmp_path, GOOD)
-    with pytest.raises(BenchError, match=r"1 of 2 points are outside an image of 48 x 32 px; .*30\.5, 40\.5"):
-        read_point_file(path, image_size=(48, 32))
-    assert len(read_point_file(path, image_size=(30, 40))) == 2
-
-
-def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path):
-    (tmp_path / "b.txt").write_bytes(b"\xff\x00\x00\x01")
-    with pytest.raises(BenchError, match="not UTF-8 text"):
-        read_point_file(tmp_path / "b.txt", image_size=None)
-    with pytest.raises(StorageError, match="cannot be read"):
-        read_point_file(tmp_path / "none.txt", image_size=None)
 
 
 # ---------------------------------------------------------------- the folder

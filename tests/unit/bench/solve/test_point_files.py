@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, StorageError
 from bench.solve.point_files import read_point_file
 
 X, Y = (axis.ravel() for axis in np.meshgrid(np.arange(5) * 8.0, np.arange(4) * 8.0))
@@ -46,10 +46,21 @@ def test_points_of_spreadsheets_are_read(tmp_path, content):
     assert view.ids.tolist() == list(range(20))
 
 
-def test_pixels_of_matlab_are_counted_from_1(tmp_path):
-    np.testing.assert_allclose(
-        read(tmp_path, text(ROWS), origin="matlab").points_px, ROWS[:, :2] - 1.0, atol=1e-4
-    )
+@pytest.mark.parametrize(("origin", "off"), [("corner", -0.5), ("matlab", -1.0), ("centre", 0.0)])
+def test_pixels_are_counted_from_where_the_program_counts_them(tmp_path, origin, off):
+    view = read(tmp_path, text(ROWS), origin=origin)
+    np.testing.assert_allclose(view.points_px, ROWS[:, :2] + off, atol=1e-4)
+
+
+def test_a_view_has_the_name_of_its_file_and_without_a_stated_size_that_of_its_points(tmp_path):
+    assert (read(tmp_path, text(ROWS)).name, read(tmp_path, text(ROWS)).image_size) == ("a", (1400, 900))
+    (tmp_path / "few.txt").write_text("\ufeff10.5 20.5 4.0 8.0 7\n# a remark\n\n30.5, 40.5, 12.0, 16.0, 9\n")
+    assert read_point_file(tmp_path / "few.txt", image_size=None, origin="centre").image_size == (32, 42)
+    assert len(read_point_file(tmp_path / "few.txt", image_size=(30, 40))) == 2
+    with pytest.raises(BenchError, match=r"1 of 2 points .* 48 x 32 px; .*30\.5, 40\.5"):
+        read_point_file(tmp_path / "few.txt", image_size=(48, 32))  # the sides in the other order
+    with pytest.raises(StorageError, match="cannot be read"):
+        read_point_file(tmp_path / "none.csv", image_size=(1400, 900))
 
 
 WRONG = {
@@ -67,10 +78,15 @@ WRONG = {
         text(ROWS, header="x,y,X,Y,id,H\u00f6he").encode("cp1252"),
         "not UTF-8 text",
     ),
-    "a spreadsheet's own file": (
-        b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml",
-        "The file is a document of an office program",
-    ),
+    "a spreadsheet's own file": (b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml", "an office program"),
+    "a column too few": ("1 2 3 4 5\n1 2 3\n", r"a\.csv:2: .* 3 columns instead of 5"),
+    "a letter": ("1 2 x 4 5\n", r"a\.csv:1: Not a number"),
+    "not finite": ("1 2 nan 4 5\n", r"a\.csv:1: .*not finite"),
+    "half a number as id": ("1 2 3 4 5.5\n", r"a\.csv:1: .*integer"),
+    "a huge id": ("1 2 3 4 1e300\n", r"a\.csv:1: .*integer"),
+    "an id twice": ("1 2 3 4 5\n6 7 8 9 5\n", "a point twice"),
+    "no points": ("\n# nothing\n", "has no points"),
+    "a point outside": ("5 5 3 4 1\n-1.5 2 3 4 5\n", r"1 of 2 points are outside .* at \(-1\.5, 2\)"),
     "a column too many": (text(ROWS, "{0},{1},{2},{3},0,{4}"), "6 columns instead of 5"),
     "points and commas as decimal marks": ("1.000,5;2,5;3,5;4,5;6\n", "8 columns|9 columns"),
 }

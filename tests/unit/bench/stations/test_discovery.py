@@ -108,11 +108,7 @@ def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage
     assert len(faults) == len(re.findall("ASK-THE|CHOOSE-A|NAME-THE|YOUR-LAB", path.read_text()))
     row = next(n for n, line in enumerate(path.read_text().splitlines(), 1) if UNKNOWN_PORT in line)
     place = "stage.axes.pan.port" if stage in {"ximc", "thorlabs_apt"} else "stage.port"
-    assert any(
-        told_here.startswith(f"{path}:{row}:")
-        and f"{place}: this value is missing (placeholder {UNKNOWN_PORT})." in told_here
-        for told_here in faults
-    )
+    assert any(fault.startswith(f"{path}:{row}:") and f" {place}: " in fault for fault in faults)
     path.write_text(filled(path.read_text()))
     assert make_plan(*load_documents("turntable", str(path))).faults == ()
 
