@@ -9,7 +9,6 @@ DriverError
 ├── ReplyError                a reply that cannot be used
 │   ├── ReplyTimeout          no (complete) reply before the deadline
 │   └── ReplyGarbled          a reply that breaks the protocol: checksum, id, address, form
-├── StillOpening              a device that is being opened on another thread
 ├── DeviceRefused             a well-formed refusal of a command
 ├── WrongDevice               another device (serial number, model) than the station file names
 ├── StageError
@@ -89,10 +88,6 @@ class ReplyTimeout(ReplyError):
 
 class ReplyGarbled(ReplyError):
     """A reply breaks the protocol."""
-
-
-class StillOpening(DriverError):
-    """A device is still being opened."""
 
 
 class DeviceRefused(DriverError):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from types import MappingProxyType
 from typing import Any
 
 from bench.base.clock import BenchClock
@@ -34,8 +33,6 @@ LEFT_DEVICES = "left_devices"
 class Devices:
     """A stage, a light and a camera, open; if one cannot be opened, all are closed. Opening moves nothing."""
 
-    # Devices that may still be opening, by name; empty here (see `bench.stations.orphans.SeparateDevices`).
-    late: Mapping[str, Any] = MappingProxyType({})
     stage: Stage
     light: Light
     camera: Camera

@@ -173,7 +173,6 @@ class FakeDevices:
     simulation = None
 
     def __init__(self):
-        self.late = {}
         self.stage, self.light, self.camera = FakeStage(), FakeLight(), FakeCamera()
         self.closed = False
 

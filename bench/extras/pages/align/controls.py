@@ -14,7 +14,7 @@ from typing import Any, Literal
 from bench.base.errors import ControlRefused
 from bench.base.failure import Failure
 from bench.extras.pages.align.figure_rows import FigureRow
-from drivers.errors import DriverError, ReplyError, StillOpening
+from drivers.errors import DriverError, ReplyError
 from drivers.stage import Stage
 
 LARGEST_STEP_DEG = 5.0
@@ -59,7 +59,6 @@ class StageControl:
         self._closing = False
         self._silent: Failure | None = None
         """Why the stage does not answer; None while it does."""
-        self._still_opening = False
         self._thread = threading.Thread(target=self._work, name="align-stage", daemon=True)
         self._thread.start()
 
@@ -87,7 +86,7 @@ class StageControl:
         state = self._state
         words = "at rest"
         if self._silent is not None:
-            words = "opening" if self._still_opening else "does not answer"
+            words = "does not answer"
         elif state.work is not None:
             words = "homing" if state.work == "home" else "turning"
         elif state.homed is False:
@@ -152,14 +151,8 @@ class StageControl:
         return goals
 
     def home(self) -> None:
-        """Search the references of all axes, also after the return; refused if the stage moves, or is not open."""
+        """Search the references of all axes, also after the return; refused if the stage moves."""
         with self._lock:
-            if self._still_opening:
-                raise ControlRefused(
-                    "The stage is still being opened. Nothing was moved.",
-                    where="stage",
-                    remedy="Wait some seconds.",
-                )
             if self._state.work is not None or self._closing:
                 raise ControlRefused(
                     "The stage moves. Homing was not started.", where="stage", remedy="Wait, or press STOP."
@@ -229,11 +222,10 @@ class StageControl:
         except DriverError as error:
             with self._lock:
                 before, self._silent = self._silent, Failure.of(error)
-                self._still_opening = isinstance(error, StillOpening)
                 changed = before != self._silent
         else:
             changed = self._silent is not None
-            self._silent, self._still_opening = None, False
+            self._silent = None
         if changed:
             self._on_change()
 

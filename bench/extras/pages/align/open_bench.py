@@ -63,6 +63,11 @@ ACTIONS: Mapping[str, tuple[str, ...]] = {
 OpenDevices = Callable[[Station, int, BenchClock], Devices]
 
 
+def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
+    """Open the devices of a station."""
+    return Devices(station, seed=seed, clock=clock, wire_log=None)
+
+
 class CameraControl:
     """The camera's identity and settings."""
 
@@ -255,9 +260,7 @@ class LightControl:
         """Return what the light does, for the page."""
         now = self.reading
         words = {None: "unknown", True: "on", False: "off"}[now.on]
-        if now.failure is not None and now.failure.kind == "StillOpening":
-            words = "opening"
-        elif now.faults:
+        if now.faults:
             words = "; ".join(now.faults)
         return FigureRow("Light", words, expected="on", good=words == "on")
 
@@ -298,14 +301,6 @@ class LightControl:
                     where="light",
                     remedy="Give a value in this range. The station file states the range of the frequency.",
                 )
-
-
-def try_again(bench: Bench) -> bool:
-    """Begin to open again what could not be opened; False if there was nothing."""
-    failed = [device for device in bench.devices.late.values() if device.state == "failed"]
-    for device in failed:
-        device.start()
-    return bool(failed)
 
 
 class SimulatedHands:

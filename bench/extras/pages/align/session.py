@@ -24,12 +24,11 @@ from bench.extras.pages.align.open_bench import (
     OpenDevices,
     close_bench,
     open_bench,
-    try_again,
+    open_devices,
 )
 from bench.extras.pages.align.station_lines import station_lines
 from bench.extras.pages.web.server_sent import Changes
 from bench.record.device_end import DeviceEnd
-from bench.stations.orphans import SeparateDevices
 from bench.stations.station import Station
 from drivers.errors import DriverError
 from sequences.reader import Located
@@ -50,7 +49,7 @@ class Session:
         station: Located[Station],
         *,
         seed: int = 1,
-        opener: OpenDevices = SeparateDevices,
+        opener: OpenDevices = open_devices,
         make_meter: Callable[[], Meter] = MeterProcess,
     ) -> None:
         self.station = station
@@ -112,11 +111,7 @@ class Session:
         return self._failure
 
     def reopen(self) -> Failure | None:
-        """Open again what is not open; if that is not all, close the devices safely and open all of them again."""
-        bench = self._bench
-        if bench is not None and bench.loop.failure is None and try_again(bench):
-            self.changes.tell()
-            return None
+        """Close the devices safely, and open all of them again."""
         self._close_bench()
         return self.open()
 

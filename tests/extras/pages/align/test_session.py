@@ -14,7 +14,7 @@ from bench.extras.pages.align import live_loop
 from bench.extras.pages.align import session as session_module
 from bench.extras.pages.align.controls import StageControl
 from bench.extras.pages.align.live_figures import LiveMeter
-from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
+from drivers.errors import CameraBusy, CameraLost, DriverError
 
 
 def _rest(session):
@@ -363,53 +363,6 @@ def test_a_slice_holds_the_edges_of_the_light_and_a_moving_stage_makes_it_short(
     devices.stage.step_deg = 0.005
     session.bench.stage.move_by({"pan": 5.0})
     wait_until(lambda: lengths[-1] == live_loop.MOVING_PERIODS)
-
-
-class LateStage:
-    """A stage that is not open until it is tried again."""
-
-    def __init__(self):
-        self.stage, self.state = FakeDevices().stage, "opening"
-        self.error = StillOpening("The stage is still being opened.", where="stage")
-
-    def end(self, error=None):
-        self.error, self.state = error, "failed" if error else "open"
-
-    def start(self):
-        self.error, self.state = StillOpening("again.", where="stage"), "opening"
-
-    def __getattr__(self, name):
-        if name in ("axes", "limits") or self.error is None:
-            return getattr(self.stage, name)
-        raise self.error
-
-
-def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
-    devices = FakeDevices()
-    devices.stage = late = LateStage()
-    devices.late = {"stage": late}
-    session, _ = fake_session(devices)
-    assert session.open() is None
-    try:
-        wait_until(lambda: session.picture().number >= 2)
-        assert session.state()["rows"]["Stage"]["value"] == "opening"
-        late.end(PortLost("no such port.", where="gimbal", remedy="Plug it in."))
-        session.bench.stage.look_safely(thoroughly=True)
-        assert session.state()["stage"]["failure"]["remedy"] == "Plug it in."
-        assert session.bench.stage.failure.kind == "PortLost"
-        session.light(on=True)
-        with pytest.raises(PortLost):
-            session.bench.stage.move_by({"pan": 0.5})
-        before = session.picture().number
-        assert session.reopen() is None
-        assert late.state == "opening"
-        wait_until(lambda: session.picture().number > before)
-        assert not devices.closed
-        late.end()
-        wait_until(lambda: session.state()["stage"]["failure"] is None)
-        session.bench.stage.move_by({"pan": 0.5})
-    finally:
-        session.close()
 
 
 def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():

@@ -97,7 +97,7 @@ function showTrouble() {
   const { failure } = state.devices;
   if (failure) lines.push(["The devices could not be opened", failure]);
   for (const name of ["stage", "light", "camera"]) {
-    if (state[name] && state[name].failure && state[name].failure.kind !== "StillOpening") lines.push([name[0].toUpperCase() + name.slice(1), state[name].failure]);
+    if (state[name] && state[name].failure) lines.push([name[0].toUpperCase() + name.slice(1), state[name].failure]);
   }
   const box = at("trouble");
   box.hidden = lines.length === 0;
