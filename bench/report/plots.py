@@ -22,6 +22,7 @@ from bench.report.pictured_poses import PLOTS, thinned
 from bench.report.pose_scene import pose_scene
 from bench.report.svg_plot import (
     INK,
+    MUTED,
     PANEL,
     POSE_COLOURS,
     WIDE,
@@ -35,6 +36,7 @@ from bench.report.svg_plot import (
 )
 from bench.report.svg_scale import Scale
 from bench.wording.target_words import STARS, TargetWords, words_of
+from calib.arrays import RAYLEIGH_MEDIAN
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import (
     URAD_PER_ARCSEC,
@@ -45,6 +47,9 @@ from calib.uncertainty.projection_uncertainty import (
 Array = NDArray[np.float64]
 
 _CLOUD_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
+#: The adjustment halves the weight of a star at so many sigma of its residual (`calib.joint.equations`).
+_FULL_WEIGHT = 3.5
+_LIGHT = "beyond 3.5 sigma: half the weight, or less"
 _REGIONS = (4, 3)  # Columns and rows, near the shape of sensors; each has stars enough for a mean
 _WIDE_ANGLE_DEG = 25.0  # From here a pixel at the rim is a fifth less angle than in the middle: cos^2
 
@@ -56,12 +61,18 @@ def residual_vectors(
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
     about = f"{len(lengths)} {words.points}; residuals of {np.percentile(lengths, 95):.2g} px or less for 95 % of them."
+    longest = _FULL_WEIGHT * float(np.median(lengths)) / RAYLEIGH_MEDIAN
+    keys = [*_pose_keys(views), *([Key(_LIGHT, MUTED)] if (lengths > longest).any() else [])]
     axes = sensor_axes(
-        image_size, (), "vectors", "Residual vectors on the sensor", about, width=WIDE, keys=_pose_keys(views)
+        image_size, (), "vectors", "Residual vectors on the sensor", about, width=WIDE, keys=keys
     )
     for colour, detected, residuals in _by_colour(thinned(views)):
-        axes.dots(detected, colour, 2.6)
-        axes.strokes(detected, detected + magnification * residuals, colour, 1.0)
+        far = np.linalg.norm(residuals, axis=1) > longest
+        ends = detected + magnification * residuals
+        for shade_of, chosen in ((colour, ~far), (MUTED, far)):
+            if chosen.any():
+                axes.dots(detected[chosen], shade_of, 2.6)
+                axes.strokes(detected[chosen], ends[chosen], shade_of, 1.0)
     _scale_bar(axes, image_size, magnification)
     return axes.picture.svg()
 
