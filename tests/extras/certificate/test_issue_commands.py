@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from unittest import mock
 
 import pytest
+from certificate_lab import FIRST, quick_files
 from certificate_sample import LAB, verified
 from click.testing import CliRunner
 from sealed_bench import write_sealed_run
@@ -17,7 +18,7 @@ from bench.extras.certificate.lab_config import LabConfig
 from bench.record.ledger import Ledger
 from sequences.errors import DocumentFaults
 
-FIRST, SECOND = "SIMULATED-SB-2026-00001", "SIMULATED-SB-2026-00002"
+SECOND = "SIMULATED-SB-2026-00002"
 LATER = datetime(2026, 12, 1, tzinfo=UTC)
 
 
@@ -27,10 +28,6 @@ class LaterClock(datetime):
     @classmethod
     def now(cls, tz=None):
         return LATER.astimezone(tz)
-
-
-def quick_files(certificate, content, results, lab, plots):
-    return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
 
 
 @pytest.fixture

@@ -148,6 +148,7 @@ def test_lost_devices_are_shown_and_the_old_picture_does_not_look_new(chromium, 
     devices.stage.lost, devices.camera.fault = False, None
     page.wait("document.getElementById('trouble').hidden")
     page.wait("document.getElementById('dark').hidden")
+    assert "does not answer" not in page.tab.inner_text("#stage-state")
     page.close()
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import httpx
 import pytest
 from click.testing import CliRunner
-from journals import MadeRun
 from running import STARBENCH, called, environment, start
 
 from bench.base.clock import BenchClock
@@ -25,9 +24,7 @@ TOKEN = "0123456789abcdef"
 
 
 @pytest.fixture
-def root(tmp_path):
-    run = MadeRun(tmp_path / "runs" / "run7").begin()
-    run.record(1)
+def root(run):
     return run.folder.parent
 
 

@@ -64,13 +64,6 @@ def streamed(server, path, after=None):
 
 
 @pytest.fixture
-def run(tmp_path):
-    run = MadeRun(tmp_path / "runs" / "run7").begin()
-    run.record(1)
-    return run
-
-
-@pytest.fixture
 def server(run):
     with served(panel_app(run.folder.parent)) as server:
         yield server

@@ -15,7 +15,7 @@ from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.prophesee_words import Evt2Decoder
 from drivers.camera.raw_check import WORD_BYTES
 from drivers.camera.raw_file import RawFile
-from drivers.errors import NotARecording
+from drivers.errors import NotARecording, RecordingFileError
 
 ORIGIN_US = 1_700_000_000_000_000
 
@@ -156,6 +156,25 @@ def test_a_dat_file_of_edges_and_one_of_an_unknown_version_are_named(tmp_path):
     path.write_bytes(dat_head(7) + bytes(16))
     with pytest.raises(NotARecording, match="has version 7"):
         import_events(path)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        evt2_words(0x8000_0001, 0x1000_0000 | 2047 << 11),
+        DAT_HEAD,
+        DAT_HEAD + bytes([0x0C, 255]) + bytes(16),
+        DAT_HEAD + bytes([0x0C, 8]) + b"\xff" * 8,
+    ],
+    ids=["evt2 outside", "dat without events", "dat of a wrong size", "dat outside"],
+)
+def test_a_malformed_file_is_refused_with_its_name_and_a_remedy(tmp_path, data):
+    path = tmp_path / "bad.raw"
+    path.write_bytes(data)
+    with pytest.raises(RecordingFileError) as caught:
+        import_events(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
 
 
 def test_dat_times_go_on_where_their_counter_turns_over(tmp_path):
