@@ -170,6 +170,7 @@ class DirectStage:
     line: DirectLine
     controller: AxisController
     reopen: Callable[[], Stage]
+    family: str = ""
 
     def order(self, text: str) -> None:
         """Let something go wrong, as it is ordered on a bench; the axis is called pan, its line gimbal."""
@@ -313,4 +314,6 @@ FAMILIES = {
 
 def rig_of(family: str) -> DirectStage:
     """A stage of a family with its driver, on a clock of its own."""
-    return FAMILIES[family](VirtualClock(), np.random.default_rng(1))
+    rig = FAMILIES[family](VirtualClock(), np.random.default_rng(1))
+    rig.family = family
+    return rig

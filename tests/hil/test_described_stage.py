@@ -108,11 +108,11 @@ def test_a_reversed_axis_turns_the_other_way(rig) -> None:
 def test_a_refusal_says_what_the_device_said_and_an_unknown_setting_is_one(rig) -> None:
     fast = axis(limits=AxisLimits(-15.0, 15.0, 150.0, 100.0))
     before_deg = rig.true_deg()
-    with pytest.raises(DeviceRefused, match="Pan speed cannot exceed 80000 pos/sec"):
+    with pytest.raises(DeviceRefused, match="80000 pos/sec"):
         again(rig, fast).home()
     assert rig.true_deg() == before_deg
     wrong = parse_template("QQ", known=frozenset(), readable=None)
-    with pytest.raises(DeviceRefused, match="refuses 'QQ': Illegal command entered"):
+    with pytest.raises(DeviceRefused, match="'QQ': Illegal command"):
         again(rig, axis(), replace(FLIR_PTU, setup=(Exchange(wrong, wrong),))).home()
 
 

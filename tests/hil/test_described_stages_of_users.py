@@ -117,7 +117,7 @@ def test_a_homing_that_was_refused_in_silence_is_told_with_the_state(clock) -> N
     answer = wire.answer
     wire.answer = lambda request: "" if "OR" in request else answer(request)
     stage = opened(wire, described("smc100"), ("1", 1.0))
-    with pytest.raises(MoveFailed, match="homing ended without a reference: '1TS' is answered by '0A'"):
+    with pytest.raises(MoveFailed, match=r"without a reference: '1TS' .* '0A'"):
         stage.home()
     assert not stage.is_homed()
 
@@ -154,7 +154,7 @@ def test_a_motion_that_begins_late_is_waited_for(clock) -> None:
 def test_a_state_that_is_neither_idle_nor_a_motion_is_named(clock) -> None:
     wire, _ = smc100(clock)
     wire.known["state"] = "14"  # configuration
-    with pytest.raises(MoveTimeout, match="'1TS' is answered by '14', which is not under idle"):
+    with pytest.raises(MoveTimeout, match=r"'1TS' .* '14'"):
         opened(wire, described("smc100"), ("1", 1.0))
 
 

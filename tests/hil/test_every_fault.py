@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from drivers.errors import DriverError, MoveFailed, NotHomed, PortLost, ReplyError, WrongDevice
 from simulators.faults.catalogue import AXIS_FAULTS, LINE_FAULTS
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
-from tests.hil.direct_stages import FAMILIES, DirectStage, VirtualClock
+from tests.hil.direct_stages import FAMILIES, DirectStage, rig_of
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -47,10 +46,9 @@ MESSAGES = {*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"}
 
 @pytest.fixture(params=FAMILIES)
 def rig(request) -> DirectStage:
-    rig = FAMILIES[request.param](VirtualClock(), np.random.default_rng(3))
+    rig = rig_of(request.param)
     rig.stage.home()
     rig.stage.move_to({"pan": 10.0})
-    rig.family = request.param
     return rig
 
 

@@ -16,6 +16,7 @@ from tests.hil.test_described_stages_of_users import changed, gsc02, opened, smc
 from tests.hil.text_wire import LINES, Motor, Wire, described
 
 SCALE = 400.0
+QUEUE = '  errors: {send: "?ERR", reply: "{state:integer}", when: [0]}\n'
 TRUE_DEG = 1.94
 """Where the axis of `ps10` stands, while its counter is 0."""
 
@@ -67,10 +68,7 @@ def test_an_axis_that_was_not_initialised_is_by_a_bare_command_and_is_homed(cloc
 
 def test_a_search_that_is_ignored_without_any_trace_is_no_homing(tmp_path, clock) -> None:
     wire, motor = ps10(clock, ignores="REF1")
-    without_queue = changed(
-        tmp_path, "ps10", '  errors: {send: "?ERR", reply: "{state:integer}", when: [0]}\n', ""
-    )
-    stage = opened(wire, without_queue, ("1", SCALE))
+    stage = opened(wire, changed(tmp_path, "ps10", QUEUE, ""), ("1", SCALE))
     with pytest.raises(MoveFailed, match="nothing shows"):
         stage.home()
     assert not stage.is_homed()
@@ -83,28 +81,21 @@ def test_a_search_that_the_error_queue_refuses_is_told_and_old_errors_are_not_ta
     wire, _ = ps10(clock, ignores="REF1")
     wire.known |= {"ERR": "7", "refused": "40"}
     stage = opened(wire, described("ps10"), ("1", SCALE))
-    with pytest.raises(DeviceRefused, match=r"'REF1=4': '\?ERR' is answered by '40'"):
+    with pytest.raises(DeviceRefused, match=r"'REF1=4': '\?ERR' .* '40'"):
         stage.home()
     assert not stage.is_homed()
 
 
-def test_an_axis_at_its_reference_is_homed_by_an_empty_error_queue(clock) -> None:
-    wire, motor = ps10(clock)
+@pytest.mark.parametrize(("make", "scale"), [(ps10, SCALE), (smc100, 1.0)])
+def test_an_axis_at_its_reference_is_homed_without_any_motion(clock, make, scale) -> None:
+    """By an empty error queue, and by a reference that comes."""
+    wire, motor = make(clock)
     motor.move(0.0)
     clock.sleep(1.0)
-    stage = opened(wire, described("ps10"), ("1", SCALE))
+    stage = opened(wire, described(make.__name__), ("1", scale))
     for _ in range(2):
         stage.home()
         assert stage.is_homed()
-
-
-def test_a_reference_that_comes_is_evidence_without_any_motion(clock) -> None:
-    wire, motor = smc100(clock)
-    motor.move(0.0)
-    clock.sleep(1.0)
-    stage = opened(wire, described("smc100"), ("1", 1.0))
-    stage.home()
-    assert stage.is_homed()
 
 
 def test_a_reference_of_another_program_is_none(clock) -> None:
@@ -132,7 +123,7 @@ def test_a_search_that_ends_beside_the_reference_is_no_homing(clock) -> None:
 
     wire.answer = stopped_by_hand
     stage = opened(wire, described("gsc02"), ("1", SCALE), ("2", SCALE))
-    with pytest.raises(MoveFailed, match="ended at 400 counts, not at 0"):
+    with pytest.raises(MoveFailed, match=r"400 counts, .* 0"):
         stage.home()
     assert not stage.is_homed()
 
@@ -165,9 +156,7 @@ class Lines:
 @pytest.mark.slow
 def test_a_run_with_a_stage_that_ignores_its_homing_records_no_view(tmp_path: Path, home: Path) -> None:
     wire, motor = ps10(SystemTime(), ignores="REF1")
-    description = changed(
-        tmp_path, "ps10", '  errors: {send: "?ERR", reply: "{state:integer}", when: [0]}\n', ""
-    )
+    description = changed(tmp_path, "ps10", QUEUE, "")
     station = write_station(tmp_path / "station.yaml")
     with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), Lines(wire), paced=False) as device:
         head, rest = station.read_text().split("stage:", 1)

@@ -126,7 +126,7 @@ def test_without_the_extra_one_sentence_says_how_to_install_it(monkeypatch) -> N
 
 def test_an_instrument_that_is_not_there_is_told_without_the_words_of_a_library(monkeypatch) -> None:
     connect(monkeypatch).never_back = True
-    with pytest.raises(PortNotFound, match="does not find the instrument") as error:
+    with pytest.raises(PortNotFound, match="find the instrument") as error:
         opened()
     assert "No device found" not in str(error.value)
     assert error.value.where == ADDRESS

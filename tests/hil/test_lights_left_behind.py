@@ -66,30 +66,26 @@ class Rig:
 
 
 @pytest.mark.parametrize(("kind", "left"), LEFT)
-def test_a_flicker_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, left) -> None:
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        (FLICKER, {"sync": True, "low_v": 0.0, "frequency_hz": 50.0, "high_v": 3.0}),
+        (STEADY, {"low_v": 3.0}),
+    ],
+    ids=["flicker", "steady"],
+)
+def test_a_light_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, left, asked, expected) -> None:
     rig = Rig(kind, left)
     before = len(rig.states)
-    rig.light.apply(FLICKER)
+    rig.light.apply(asked)
     assert not any(state.output and state.high_v > 0 for state in rig.states[before:])
     rig.light.on()
     now = rig.states[-1]
-    assert (now.output, now.sync, now.low_v) == (True, True, 0.0)
-    assert (now.frequency_hz, now.high_v) == pytest.approx((50.0, 3.0))
+    assert now.output
+    assert {name: getattr(now, name) for name in expected} == pytest.approx(expected, abs=2e-3)
     assert rig.light.faults() == []
     rig.light.off()
-    assert not rig.states[-1].output
-
-
-@pytest.mark.parametrize(("kind", "left"), LEFT)
-def test_a_steady_light_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, left) -> None:
-    rig = Rig(kind, left)
-    before = len(rig.states)
-    rig.light.apply(STEADY)
-    assert not any(state.output and state.high_v > 0 for state in rig.states[before:])
-    rig.light.on()
-    assert (rig.states[-1].output, rig.states[-1].low_v) == (True, pytest.approx(3.0, abs=2e-3))
-    rig.light.off()
-    assert not rig.states[-1].output or rig.states[-1].high_v == 0.0
+    assert not rig.states[-1].output or (asked == STEADY and rig.states[-1].high_v == 0.0)
 
 
 @pytest.mark.parametrize(("kind", "left"), LEFT)
@@ -244,7 +240,7 @@ def test_a_controller_that_ignores_triggers_for_longer_than_a_period_is_refused(
     rig = Rig("gardasoft", "retrigger")
     receive = rig.line.device.receive
     rig.line.device.receive = lambda data: receive(data.replace(b"60.0,0\r", b"60.0\r"))
-    with pytest.raises(SettingRefused, match=r"retrigger delay: asked 0\.0000 ms, got 500\.0000 ms"):
+    with pytest.raises(SettingRefused, match=r"retrigger delay: .* 0\.0000 ms, .* 500\.0000 ms"):
         rig.light.apply(FLICKER)
 
 
@@ -283,7 +279,7 @@ def test_a_light_that_restarted_while_its_line_was_gone_is_not_left_on_with_othe
     rig.light.apply(FLICKER)
     rig.device.exchange("SG0042")
     rig.line.gone = True
-    with pytest.raises(LightFault, match=r"no longer has the settings.*restarted.*switched off again"):
+    with pytest.raises(LightFault, match=r"settings.*restarted"):
         rig.light.on()
     assert not rig.states[-1].output
 

@@ -12,7 +12,8 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -110,15 +111,13 @@ def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> No
 
 
 def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:
-    with pytest.raises(
-        PortNotFound, match=r"nowhere: there is no such port\. Check that the device is plugged in"
-    ):
+    with pytest.raises(PortNotFound, match=r"nowhere: .*no such port"):
         SerialPort(str(tmp_path / "nowhere"), baudrate=9600)
 
 
 def test_a_file_is_no_port(tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(PortNotFound, match="this file is no serial port"):
+    with pytest.raises(PortNotFound, match="no serial port"):
         SerialPort(str(tmp_path / "file"), baudrate=9600)
 
 
@@ -280,46 +279,46 @@ def write_on(port: SerialPort) -> None:
         time.sleep(0.02)
 
 
+@pytest.fixture
+def serve() -> Iterator[Callable[..., tuple[DeviceServer, SerialPort]]]:
+    """A server, and a port to the device behind it."""
+    with ExitStack() as stack:
+
+        def serving(behind: str = "") -> tuple[DeviceServer, SerialPort]:
+            server = DeviceServer(behind)
+            stack.callback(server.close)
+            port = SerialPort(server.address, baudrate=19200)
+            stack.callback(port.close)
+            return server, port
+
+        yield serving
+
+
 @of_pyserial
-def test_a_device_server_serves_as_a_port_and_takes_its_baud_rate() -> None:
-    server = DeviceServer()
-    try:
-        port = SerialPort(server.address, baudrate=19200)
-        port.write(b"there and back\n")
-        data = b""
-        while len(data) < 15:
-            data += port.read(5.0)
-        assert data == b"there and back\n"
-        assert server.device.baudrate == 19200
-        port.close()
-    finally:
-        server.close()
+def test_a_device_server_serves_as_a_port_and_takes_its_baud_rate(serve) -> None:
+    server, port = serve()
+    port.write(b"there and back\n")
+    data = b""
+    while len(data) < 15:
+        data += port.read(5.0)
+    assert data == b"there and back\n"
+    assert server.device.baudrate == 19200
 
 
 @of_pyserial
 @pytest.mark.parametrize("act", [lambda port: port.read(120.0), write_on], ids=["read", "write on"])
-def test_a_device_server_that_hangs_up_is_a_lost_port(act) -> None:
-    server = DeviceServer()
-    try:
-        port = SerialPort(server.address, baudrate=19200)
-        server.hang_up()
-        with pytest.raises(PortLost):
-            act(port)
-        port.close()
-    finally:
-        server.close()
+def test_a_device_server_that_hangs_up_is_a_lost_port(serve, act) -> None:
+    server, port = serve()
+    server.hang_up()
+    with pytest.raises(PortLost):
+        act(port)
 
 
 @of_pyserial
-def test_a_device_pulled_out_behind_its_server_is_a_lost_port(plug) -> None:
-    server = DeviceServer(str(plug.link))
-    try:
-        port = SerialPort(server.address, baudrate=115200)
-        port.write(b"to the device\n")
-        assert os.read(plug.ours, 100) == b"to the device\n"
-        plug.unplug()
-        with pytest.raises(PortLost):
-            read_on(port)
-        port.close()
-    finally:
-        server.close()
+def test_a_device_pulled_out_behind_its_server_is_a_lost_port(plug, serve) -> None:
+    _, port = serve(str(plug.link))
+    port.write(b"to the device\n")
+    assert os.read(plug.ours, 100) == b"to the device\n"
+    plug.unplug()
+    with pytest.raises(PortLost):
+        read_on(port)

@@ -1,14 +1,9 @@
-"""The simulated Newport ESP301, driven by an independent client, and line by line."""
+"""The simulated Newport ESP301, line by line; test_wire_parity.py has it driven by an independent client."""
 
 from __future__ import annotations
 
-import time
-import warnings
-
 import pytest
 
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import MotionFault
 from tests.hil.direct_stages import of_one_port
 
@@ -38,33 +33,6 @@ def homed(controller: Controller) -> Controller:
     controller.say("1MO;2MO;1OR1;2OR1")
     controller.wait()
     return controller
-
-
-def test_an_independent_client_homes_moves_and_reads(tmp_path):
-    newport = pytest.importorskip("pymeasure.instruments.newport", reason="pymeasure is not installed")
-    adapters = pytest.importorskip("pymeasure.adapters")
-    controller, _ = of_one_port("esp301", time.monotonic)
-    with SerialDevice(PseudoTerminal(tmp_path / "stage"), controller) as device:
-        adapter = adapters.SerialAdapter(
-            device.address, baudrate=19_200, timeout=5, write_termination="\r", read_termination="\r\n"
-        )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FutureWarning)  # the client's own, about its base class
-            stage = newport.ESP300(adapter)
-        stage.x.enable()
-        stage.x.home()
-        stage.x.wait_for_stop()
-        assert stage.x.position == 0.0
-        stage.x.position = 1.5
-        stage.x.wait_for_stop()
-        assert stage.x.position == 1.5
-        assert (stage.x.left_limit, stage.x.right_limit) == (-15.0, 15.0)
-        assert stage.x.units == "degree"
-        stage.x.position = 99
-        assert [str(error) for error in stage.errors] == [
-            "Newport ESP300 axis 1 reported the error: POSITIVE SOFTWARE LIMIT DETECTED"
-        ]
-        adapter.close()
 
 
 @pytest.mark.parametrize(

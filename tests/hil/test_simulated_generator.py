@@ -1,4 +1,4 @@
-"""The simulated function generator, on its serial line and by direct calls."""
+"""The simulated function generator, line by line; test_wire_parity.py has it driven by an independent client."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import pytest
 
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
-from simulators.world.world import LightState, World
+from simulators.world.world import LightState
 
 
 class Generator:
@@ -31,36 +29,6 @@ class Generator:
 @pytest.fixture
 def generator() -> Generator:
     return Generator()
-
-
-def test_an_independent_client_sets_and_reads(tmp_path):
-    keysight = pytest.importorskip("pymeasure.instruments.keysight", reason="pymeasure is not installed")
-    adapters = pytest.importorskip("pymeasure.adapters")
-    world = World()
-    dialect = ScpiGenerator(GeneratorModel(), world.now_s, world.set_light)
-    with SerialDevice(PseudoTerminal(tmp_path / "light"), dialect) as device:
-        adapter = adapters.SerialAdapter(
-            device.address, baudrate=9600, timeout=5, write_termination="\n", read_termination="\n"
-        )
-        client = keysight.Keysight33250A(adapter)
-        assert client.id.startswith("Keysight Technologies,33250A,SG0042,")
-        client.shape = "SQU"
-        client.frequency = 60
-        client.square_dutycycle = 30
-        client.voltage_high = 4
-        client.voltage_low = 0
-        client.output_enabled = True
-        assert (client.shape, client.frequency, client.square_dutycycle) == ("SQU", 60.0, 30.0)
-        assert (client.voltage_high, client.voltage_low, client.amplitude, client.offset) == (
-            4.0,
-            0.0,
-            4.0,
-            2.0,
-        )
-        assert client.output_enabled
-        assert client.check_errors() == []
-        adapter.close()
-    assert world.light(world.now_s()).output
 
 
 @pytest.mark.parametrize(

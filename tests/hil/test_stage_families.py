@@ -43,9 +43,7 @@ class Interrupted(Exception):
 
 @pytest.fixture(params=FAMILIES)
 def rig(request) -> DirectStage:
-    rig = rig_of(request.param)
-    rig.family = request.param
-    return rig
+    return rig_of(request.param)
 
 
 def test_a_stage_is_identified_homed_and_moved(rig) -> None:

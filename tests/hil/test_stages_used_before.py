@@ -88,7 +88,7 @@ def test_a_unit_found_moving_in_velocity_control_is_stopped_and_stays(unit) -> N
 def test_a_step_mode_that_comes_into_force_by_the_homing_is_no_other_scale(unit, mode) -> None:
     left_in(unit, mode)
     stage = unit.reopen()
-    with pytest.raises(OutsideLimits, match=r"the station file gives 800 counts per degree, the controller"):
+    with pytest.raises(OutsideLimits, match="800 counts per degree"):
         stage.home()
     assert not stage.is_homed()
     with pytest.raises(NotHomed):
@@ -184,9 +184,7 @@ def test_another_resolution_is_refused_where_the_station_states_it(esp) -> None:
     axis = EspAxis(name="pan", number=1, serial="1263", limits=LIMITS, resolution_deg=1e-4)
     EspStage(esp.line, [axis], clock=esp.line.clock)
     esp.line.device.receive(b"1SU0.0002\r")
-    with pytest.raises(
-        OutsideLimits, match=r"has 0.0001 deg a count, the controller 0.0002\. Nothing was set"
-    ):
+    with pytest.raises(OutsideLimits, match=r"0.0001 deg .* 0.0002\."):
         EspStage(esp.line, [axis], clock=esp.line.clock)
 
 
@@ -231,7 +229,7 @@ def test_what_moves_overruns_or_frees_an_axis_is_switched_off(ximc, when) -> Non
 def test_a_way_from_the_sensor_that_the_station_does_not_state_is_refused(ximc, when) -> None:
     """Homing goes on by it, and the driver counts from there: 3 degrees, without a word."""
     leave(ximc, "hom", p4=300)
-    with pytest.raises(OutsideLimits, match=r"the controller goes 3 deg on from its sensor") as caught:
+    with pytest.raises(OutsideLimits, match=r"3 deg .* sensor") as caught:
         ximc.reopen() if when == "before opening" else ximc.stage.home()
     assert "home_offset_deg: 3 " in caught.value.remedy
 
@@ -248,7 +246,7 @@ def test_the_station_says_how_far_a_zero_is_from_the_sensor(ximc, offset_deg) ->
 def test_a_reversed_motor_is_refused_where_the_station_states_it(ximc) -> None:
     again(ximc, reversed=False)
     leave(ximc, "eng", p4=0x11)
-    with pytest.raises(OutsideLimits, match="reversed: false, but the controller reverses the motor"):
+    with pytest.raises(OutsideLimits, match="reversed: false"):
         again(ximc, reversed=False)
     again(ximc, reversed=True)
 
@@ -262,7 +260,7 @@ def test_a_motor_whose_speed_is_limited_is_refused(ximc) -> None:
 def test_other_microsteps_than_at_opening_are_refused(ximc) -> None:
     stage = ximc.reopen()
     leave(ximc, "eng", p6=5)
-    with pytest.raises(MoveFailed, match="counts 16 microsteps a step, and 256 when it was opened"):
+    with pytest.raises(MoveFailed, match=r"16 microsteps .* 256"):
         stage.home()
 
 

@@ -88,6 +88,6 @@ def test_motion_is_judged_in_poses_without_the_tag_too(finished):
 def test_without_earlier_poses_that_show_the_tag_the_stars_stay_unnamed(tmp_path, home):
     ended, folder = run(tmp_path, home, [WITHOUT[0], *WITH_TAG])
     assert ended.returncode == 1
-    assert "stars, but no readable part of the tag" in ended.stderr
-    assert "Begin with poses that have the tag in view" in ended.stderr
+    assert "no readable part" in ended.stderr
+    assert "the tag in view" in ended.stderr
     assert not any(line["accepted"] for line in journal(folder) if line["event"] == "attempt_checked")

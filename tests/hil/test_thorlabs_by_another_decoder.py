@@ -7,16 +7,12 @@ from __future__ import annotations
 
 import io
 import math
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.stage import thorlabs_messages as ours
 from drivers.stage.thorlabs_messages import FAMILIES, Information, Status
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.thorlabs_apt import AptController
 from tests.hil.direct_stages import FAMILIES as RIGS
@@ -186,29 +182,3 @@ def test_the_scales_of_speed_are_those_of_the_document() -> None:
     kdc = FAMILIES["KDC101"]
     assert PRM1Z8_COUNTS_PER_DEG * kdc.speed_factor == pytest.approx(42_941.66, rel=1e-4)
     assert PRM1Z8_COUNTS_PER_DEG * kdc.acceleration_factor == pytest.approx(14.66, rel=1e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["K10CR1", "KDC101"])
-def test_pylablib_homes_moves_and_stops_the_simulated_controller(name, tmp_path: Path, monkeypatch) -> None:
-    kinesis = pytest.importorskip("pylablib.devices.Thorlabs.kinesis", reason="pylablib is not installed")
-    monkeypatch.setattr(kinesis.BasicKinesisDevice, "_cycle_rts", lambda _self, _line: None)  # no RTS here
-    scale = K10CR1_COUNTS_PER_DEG if name == "K10CR1" else PRM1Z8_COUNTS_PER_DEG
-    model = AxisModel(Mechanics(scale, -170.0, 170.0, start_deg=5.0), "55000123", 15.0, 10.0, 10.0, name=name)
-    device = AptController(model, time.monotonic)
-    with SerialDevice(PseudoTerminal(tmp_path / "stage"), device) as port:
-        known_as = "K10CR1" if name == "K10CR1" else "PRM1-Z8"
-        motor = kinesis.KinesisMotor(("serial", (port.address, 115_200)), scale=known_as)
-        assert motor.get_device_info().serial_no == 55_000_123
-        assert motor.get_velocity_parameters().max_velocity == pytest.approx(10.0, rel=1e-4)
-        assert not motor.is_homed()
-        motor.home(sync=True, timeout=30)
-        assert motor.is_homed()
-        motor.move_to(12.5)
-        motor.wait_move(timeout=20)
-        assert motor.get_position() == pytest.approx(12.5, abs=1e-3)
-        motor.move_to(-30.0)
-        time.sleep(0.8)
-        motor.stop()
-        assert -30.0 < motor.get_position() < 12.0
-        motor.close()

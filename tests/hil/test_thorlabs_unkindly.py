@@ -75,7 +75,7 @@ def test_a_controller_without_its_motor_says_so_when_homing_does_not_begin(rig) 
 
     rig.line.spoil = without_motor
     rig.line.lose = lambda sent: sent[:2] == b"\x43\x04"
-    with pytest.raises(MoveFailed, match="did not begin to home: it recognises no motor"):
+    with pytest.raises(MoveFailed, match=r"home: .* no motor"):
         rig.stage.home()
     assert not rig.stage.is_homed()
 

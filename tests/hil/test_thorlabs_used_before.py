@@ -133,7 +133,7 @@ def test_a_search_that_goes_on_and_on_ends_by_the_controller_s_own_speed() -> No
     controller.model = replace(
         controller.model, mechanics=replace(controller.model.mechanics, home_deg=-4000.0)
     )
-    with pytest.raises(MoveTimeout, match="search of the reference has not ended after 102"):
+    with pytest.raises(MoveTimeout, match=r"reference .* 102"):
         stage.home()
     assert line.clock.now_s - began_s < 110.0
 

@@ -154,7 +154,7 @@ def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
         theirs = newport.ESP300(adapter)
         theirs.x.enable()
         for name, act, request in (
-            ("home", lambda: theirs.x.home(1), (b"1OR", 1.0)),
+            ("home", lambda: (theirs.x.home(1), theirs.x.wait_for_stop()), (b"1OR", 1.0)),
             ("move", lambda: theirs.x.write("PA5"), (b"1PA", 5.0)),
             ("position", lambda: theirs.x.position, (b"1TP", None)),
             ("position", lambda: theirs.x.motion_done, (b"1MD", None)),
@@ -163,6 +163,8 @@ def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
             act()
             tap.wait_for(request, esp_requests)
             assert request in sent_for[name]
+        theirs.x.wait_for_stop()
+        assert theirs.x.position == 5.0
         adapter.close()
 
 
@@ -211,4 +213,7 @@ def test_scpi_requests_are_those_of_pymeasure(tmp_path) -> None:
             sent = scpi_requests(tap.take()) - {("*IDN?", "")}
             assert sent
             assert sent <= sent_by_us
+        assert theirs.id.startswith("Keysight Technologies,33250A,SG0042,")
+        assert (theirs.shape, theirs.frequency, theirs.square_dutycycle) == ("SQU", 50.0, 40.0)
+        assert (theirs.voltage_high, theirs.voltage_low, theirs.output_enabled) == (3.0, 0.5, False)
         adapter.close()

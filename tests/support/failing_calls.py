@@ -55,6 +55,13 @@ def try_in_process(program, folder, steps):
     return sum(map(int, counts)), ended
 
 
+def assert_each_call_may_fail(program, folder, name):
+    """Let each call of a work fail, one after the other; a step spares some of them."""
+    step = int(os.environ.get("FAILING_CALLS_STEP", "1"))
+    count, ended = try_in_process(program, folder, {name: (1, step)})
+    assert (ended.returncode, count * step >= 20) == (0, True), ended.stdout + ended.stderr
+
+
 @dataclass(frozen=True)
 class Tried:
     """The end of a try: its exit status, negative for a signal; what it said; the call that failed; calls in all."""

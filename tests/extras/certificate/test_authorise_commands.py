@@ -108,7 +108,7 @@ def test_a_copy_that_may_be_older_than_the_authorisation_is_no_fault(authorised,
     assert f"Note: {what}" in shown_state(copy, home_trust(home), datetime.now(UTC), known).text
     assert "FAULT" not in call("runs", copy)
     run.rename(run.with_name("away"))  # the folder itself may have been moved to there
-    assert "the ledger names an authorisation that is missing" in with_a_fault("verify", copy)
+    assert "authorisation that is missing" in with_a_fault("verify", copy)
 
 
 def test_another_authorisation_than_that_of_the_ledger_is_told(authorised, home, tmp_path):
@@ -125,7 +125,7 @@ def test_another_authorisation_than_that_of_the_ledger_is_told(authorised, home,
 
 def test_a_computer_without_a_ledger_says_that_nothing_was_entered(run, home, ada):
     done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(ada), "--yes"])
-    assert "Not entered in a ledger, so nobody would notice that it was removed" in done.output
+    assert "Not entered in a ledger" in done.output
     assert not (home / "ledger.jsonl").exists()
 
 

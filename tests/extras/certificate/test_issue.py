@@ -168,7 +168,7 @@ def test_the_ledger_tells_of_another_seal_and_of_a_void_number(real, copied):
     (copied / "SHA256SUMS").write_bytes(b"")
     assert "another seal" in str(check_certificate(copied, real.ledger).faults[0])
     unknown = check_certificate(copied, Ledger(copied, utc_now=lambda: NOW, monotonic=lambda: 0.0))
-    assert "is not in the ledger of this bench" in unknown.remarks[0]
+    assert "not in the ledger" in unknown.remarks[0]
 
 
 CHANGED = {"faults": (SealFault("changed", "views.h5", "it was changed"),)}
@@ -268,7 +268,7 @@ def test_what_cannot_become_a_certificate_is_refused_and_takes_no_number(lab, ch
 
 
 def test_a_certificate_is_not_written_into_a_sealed_folder(lab):
-    with pytest.raises(UsageError, match="is sealed; a file in it would break its seal"):
+    with pytest.raises(UsageError, match="is sealed"):
         issue(lab.run, lab.lab, lab.run / "certificate", lab.laboratory())
     assert lab.numbers() == {}
 
@@ -426,11 +426,11 @@ def test_a_replaced_certificate_is_not_valid_after_a_rollback_and_not_known_when
     (fault,) = check_certificate(folder, lab.ledger).faults
     assert fault.kind == "ledger"
     assert "2 are missing" in fault.what
-    assert "a lost line may have replaced this certificate" in fault.what
+    assert "a lost line" in fault.what
     lab.ledger.explain("The disk was restored from a copy.", "Ada")
     verification = check_certificate(folder, lab.ledger)
     assert verification.faults == []
-    assert "whether it was replaced or declared void" in verification.not_compared[0]
+    assert "replaced or declared void" in verification.not_compared[0]
 
 
 def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):

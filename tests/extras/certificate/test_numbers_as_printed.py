@@ -162,9 +162,9 @@ def changed_data(change):
 
 def test_rows_that_do_not_add_up_and_results_without_a_budget_are_refused():
     wrong = changed(lambda c: c["budget"]["stars"].update(fx=0.1))
-    with pytest.raises(EvidenceError, match=r"uncertainty budget of fx give u = 0\.\d+ px, but 0\.9613 is"):
+    with pytest.raises(EvidenceError, match=r"fx give u = 0\.\d+ px, .* 0\.9613"):
         budget_of(wrong, "fx", "px", {}, 2.4)
-    with pytest.raises(EvidenceError, match="uncertainty budget of fx give u = 0 px, but"):
+    with pytest.raises(EvidenceError, match="fx give u = 0 px"):
         budget_of(changed(lambda c: c.update(budget={})), "fx", "px", {}, 2.4)
 
 

@@ -85,7 +85,7 @@ def test_a_number_left_open_goes_to_the_next_certificate_of_the_same_run_also_in
 
 
 def test_a_second_certificate_of_a_run_needs_a_reason_and_a_first_one(bench):
-    with pytest.raises(EvidenceError, match=r"has no certificate yet\. Leave out --reason"):
+    with pytest.raises(EvidenceError, match="--reason"):
         bench.reserve("a", also="x")
     first = bench.issue("a")
     with pytest.raises(
@@ -126,7 +126,7 @@ def test_only_the_newest_certificate_can_be_amended(bench):
 def test_a_clock_that_was_set_back_is_noticed(bench):
     bench.issue("a")
     bench.now = NOW - timedelta(hours=1)
-    with pytest.raises(EvidenceError, match=r"set back: it is 2026-11-21 07:30:00 UTC, but.*08:30:00"):
+    with pytest.raises(EvidenceError, match=r"2026-11-21 07:30:00 UTC, .*08:30:00"):
         bench.reserve("b")
     bench.now = NOW - timedelta(seconds=1)
     bench.reserve("b")
@@ -145,7 +145,7 @@ def test_a_clock_that_was_set_back_is_noticed(bench):
 def test_a_gap_in_the_numbers_is_noticed(bench, lines):
     for event, facts in lines:
         bench.ledger.append(event, **facts)
-    with pytest.raises(JournalBroken, match="a number is missing, or given twice"):
+    with pytest.raises(JournalBroken, match="number is missing"):
         bench.numbers()
 
 

@@ -219,7 +219,7 @@ def test_messages_that_ros_lost_are_told_where_words_depend_on_them(tmp_path, nu
     """A driver that starts again counts from 0; some count nothing."""
     rows = some_events(60)
     path = bag(tmp_path / "a.bag", 1, rows, "evt21", numbers=(4, 9))
-    with pytest.raises(NotARecording, match=r"4 messages of /events are missing after number 4"):
+    with pytest.raises(NotARecording, match=r"4 messages of /events .* number 4"):
         import_events(path)
     assert len(import_events(bag(tmp_path / "b.bag", 1, rows, "evt21", numbers=numbers)).events.t)
 

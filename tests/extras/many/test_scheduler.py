@@ -19,7 +19,7 @@ def test_a_scheduler_that_is_lost_is_told(cluster):
     workers = DaskWorkers(cluster.scheduler_address)
     workers.submit(Work("long", cluster_work.rest, (60,)))
     cluster.close(timeout=5)
-    with pytest.raises(WorkersLost, match="does not answer any more"):
+    with pytest.raises(WorkersLost, match="not answer"):
         ends(workers, Work("again", cluster_work.double, (1,)))
     workers.close()
 

@@ -72,7 +72,7 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     )
     assert turned["translation"] is None
     shown = out_of(capsys, "rig", *stars, "--image-size", "1280x720")
-    assert "cannot be measured through a collimator: no translation is given" in shown
+    assert "no translation" in shown
     assert len(both["views"]) == 4
     assert len(both["boards"]) == 10
     assert max(both["sigma_arcsec"]) < 0.9 * max(turned["sigma_arcsec"])
@@ -376,9 +376,9 @@ def test_the_offset_of_the_clocks_comes_from_the_trigger_edges(capsys, folder, t
 
 def test_recordings_that_are_not_synchronised_are_one_error(capsys, folder, tmp_path):
     words = ("rig", folder / "left", folder / "alone", *WORDS, "--sync", "-o", tmp_path / "new")
-    assert "the sync edges of the two cameras do not belong together" in refusal(capsys, *words)
+    assert "do not belong together" in refusal(capsys, *words)
     (tmp_path / "pictures").mkdir()
     cv2.imwrite(str(tmp_path / "pictures" / "board-0.png"), np.zeros((300, 400), np.uint8))
     words = ("rig", folder / "left", tmp_path / "pictures", *WORDS, "--sync", "-o", tmp_path / "new")
-    assert "Sync edges stand in RAW recordings only." in refusal(capsys, *words, status=2)
+    assert "RAW recordings only" in refusal(capsys, *words, status=2)
     assert not (tmp_path / "new").exists()

@@ -34,7 +34,7 @@ def test_a_camera_that_does_not_answer_is_given_up_after_its_time(peer, connect)
     clock = HurryingClock()
     camera = connect(clock=clock)
     clock.hurry = True
-    with pytest.raises(ReplyTimeout, match=r'"monitor"; it has sent nothing for 3[0-9.]+ s'):
+    with pytest.raises(ReplyTimeout, match=r'"monitor"; .* 3[0-9.]+ s'):
         camera.temperature_c()
 
 
@@ -122,7 +122,7 @@ def test_whatever_a_peer_sends_ends_in_an_identity_or_a_drivers_error(pieces, cu
 
 def test_a_refusal_says_what_was_asked(peer, connect):
     peer.do_monitor = lambda number, _: peer.refuse(number, "broken", "The sensor is off.")
-    with pytest.raises(DeviceRefused, match='refused "monitor": The sensor is off'):
+    with pytest.raises(DeviceRefused, match=r'"monitor": The sensor'):
         connect().temperature_c()
 
 

@@ -63,7 +63,7 @@ def test_a_stream_that_dries_up_is_noticed(peer, connect, tmp_path):
     clock = HurryingClock()
     camera = connect(clock=clock)
     peer.before_frame[2] = lambda: setattr(clock, "hurry", True)
-    with pytest.raises(CameraLost, match="it has sent nothing for 30 s"):
+    with pytest.raises(CameraLost, match="30 s"):
         camera.record(tmp_path / "pose.raw", 1.0)
 
 

@@ -55,7 +55,7 @@ def test_an_identity_has_four_fields_or_more(answer, identity) -> None:
 def test_what_is_no_identity_is_named_and_no_cable_is_blamed(answer) -> None:
     bench = Bench()
     bench.answer({"*IDN": answer})
-    with pytest.raises(ReplyError, match=r"the four fields of IEEE 488\.2, was expected") as caught:
+    with pytest.raises(ReplyError, match="IEEE 488") as caught:
         bench.open()
     assert repr(answer) in caught.value.what
     assert "cable" not in str(caught.value)

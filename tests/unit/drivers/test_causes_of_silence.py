@@ -78,7 +78,7 @@ def test_two_zaber_devices_with_one_address_are_told() -> None:
     """All devices have the address 1 when they come from the factory, and each passes on what it hears."""
     bench = ZaberBench()
     bench.line.spoil = lambda reply: reply + reply
-    with pytest.raises(DriverError, match="a second answer to one request came from device 1") as caught:
+    with pytest.raises(DriverError, match=r"second answer .* device 1") as caught:
         bench.open()
     assert "renumber" in caught.value.remedy
 
@@ -112,7 +112,7 @@ def test_a_pendant_that_has_the_control_is_named_and_no_cable_is_doubted() -> No
     receive = bench.line.device.receive
     bench.line.device.receive = lambda data: receive(data) if data == b"?" else b""
     bench.change(lambda line: line.replace(b">", b"|MPG:1>"))
-    with pytest.raises(ReplyTimeout, match=r"a pendant \(MPG\) has the control") as caught:
+    with pytest.raises(ReplyTimeout, match="MPG") as caught:
         bench.open()
     assert "pendant" in caught.value.remedy
     assert "cable" not in caught.value.remedy
@@ -203,6 +203,6 @@ def test_a_generator_that_knows_no_such_query_is_not_told_to_be_without_power() 
     identity = b"UNI-T Technologies,UTG962E,AWG1234567,1.08\n"
     port = OtherDevice(clock, answers_lines(lambda line: identity if line == b"*IDN?" else b""))
     light = ScpiLight(port, dialect="numbered", clock=clock)
-    with pytest.raises(ReplyTimeout, match=r"the request b'SOUR1:VOLT:LOW\?.* has none") as caught:
+    with pytest.raises(ReplyTimeout, match="SOUR1:VOLT:LOW") as caught:
         light.apply(LightSettings())
     assert "The line works" in caught.value.remedy

@@ -101,7 +101,7 @@ def test_a_time_out_on_a_busy_computer_says_so(monkeypatch, ask_a_silent_port):
     monkeypatch.setattr(lateness, "own_lateness", Late)
     monkeypatch.setattr(lateness, "MOST_STRETCH_S", 0.1)
     error = ask_a_silent_port()
-    assert "this computer is too busy: it was" in error.what
+    assert "too busy" in error.what
     assert "baud rate" not in str(error)
     assert error.late_s > 0
 

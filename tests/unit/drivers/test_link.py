@@ -242,7 +242,7 @@ def test_a_line_too_long_is_thrown_away_with_its_refusal(scripted, clock) -> Non
                 self.exchange(b"sync\n", ReplyReader.read_line, deadline_s=0.1)
 
     link = SyncLink(port, clock)
-    with pytest.raises(ReplyGarbled, match="a line of more than 4096 bytes"):
+    with pytest.raises(ReplyGarbled, match="4096 bytes"):
         link.exchange(b"a\n", ReplyReader.read_line, deadline_s=0.1)
     assert link.unread == b""
     assert link.exchange(b"b\n", ReplyReader.read_line, deadline_s=0.1) == b"good\n"

@@ -275,7 +275,7 @@ def test_a_camera_that_this_user_may_not_open_is_named_with_what_to_do(tmp_path,
     folders = plug(tmp_path, mode=0o600)
     monkeypatch.setattr(os, "access", lambda path, _how: not str(path).endswith("001/007"))
     (message,) = unreadable_cameras(*folders)
-    assert "Prophesee camera (EVK4) is connected, but this user may not use it" in message
+    assert "Prophesee camera (EVK4)" in message
     assert "001/007" in message
     assert "udev rules" in message
 

@@ -139,7 +139,7 @@ def test_no_key_leads_out_of_the_folder(tmp_path, key):
     root = tmp_path / "runs"
     MadeRun(root / "a").begin()
     MadeRun(tmp_path / "outside").begin()
-    with pytest.raises(RunFolderError, match="There is no run or batch"):
+    with pytest.raises(RunFolderError, match="no run or batch"):
         FolderList(root).folder_of(key)
 
 

@@ -96,7 +96,7 @@ def test_a_folder_hands_on_its_pictures_one_by_one(folder, tmp_path):
         facts = camera.capture(tmp_path / f"{k}.tiff", 1)
         assert np.array_equal(read_frames(tmp_path / f"{k}.tiff")[0], picture)
         assert (facts.width, facts.height, facts.bits, facts.frames, facts.complete) == (64, 48, 8, 1, True)
-    with pytest.raises(RecordingFailed, match="All 3 images have been used"):
+    with pytest.raises(RecordingFailed, match="All 3 images"):
         camera.capture(tmp_path / "3.tiff", 1)
 
 
@@ -251,7 +251,7 @@ def test_a_camera_that_goes_on_focusing_by_itself_is_refused(video, webcam):
     live, _ = video
     live.values[cv2.CAP_PROP_AUTOFOCUS] = 1.0
     live.deaf_to.add(cv2.CAP_PROP_AUTOFOCUS)
-    with pytest.raises(CameraSettingRefused, match="every focus has another focal length"):
+    with pytest.raises(CameraSettingRefused, match="another focal length"):
         webcam.apply(FrameSettings())
 
 
@@ -259,7 +259,7 @@ def test_an_exposure_that_reads_back_otherwise_is_refused(video, webcam):
     live, _ = video
     live.deaf_to.add(cv2.CAP_PROP_EXPOSURE)
     live.values[cv2.CAP_PROP_EXPOSURE] = 33.0
-    with pytest.raises(CameraSettingRefused, match="Exposure was set to 100, but reads back 33"):
+    with pytest.raises(CameraSettingRefused, match=r"Exposure .* 100, .* 33"):
         webcam.apply(FrameSettings(exposure=100.0))
 
 
@@ -317,7 +317,7 @@ def test_every_capture_of_a_network_camera_is_a_new_connection(monkeypatch, tmp_
 def test_a_camera_that_sends_an_old_picture_is_noticed(monkeypatch, tmp_path):
     camera = network_camera(monkeypatch, [Live(), Live(10), Live(9)])
     camera.capture(tmp_path / "a.tiff", 1)
-    with pytest.raises(RecordingFailed, match="the last frame of the previous capture again"):
+    with pytest.raises(RecordingFailed, match="previous capture"):
         camera.capture(tmp_path / "b.tiff", 2)
     assert not (tmp_path / "b.tiff").exists()
 
@@ -326,7 +326,7 @@ def test_a_camera_that_has_frozen_is_noticed(monkeypatch, tmp_path):
     frozen = Live(10)
     frozen.frozen = True
     camera = network_camera(monkeypatch, [Live(), frozen])
-    with pytest.raises(RecordingFailed, match="All frames are identical to the last bit"):
+    with pytest.raises(RecordingFailed, match="identical"):
         camera.capture(tmp_path / "a.tiff", 3)
     assert not (tmp_path / "a.tiff").exists()
 
@@ -394,5 +394,5 @@ def test_every_page_of_a_file_is_a_picture(clock, tmp_path):
         assert [int(page[0, 0]) for page in read_frames(tmp_path / f"{pose}.tiff")] == [
             10 * pose + page for page in range(3)
         ]
-    with pytest.raises(RecordingFailed, match="All 6 images have been used"):
+    with pytest.raises(RecordingFailed, match="All 6 images"):
         camera.capture(tmp_path / "more.tiff", 1)

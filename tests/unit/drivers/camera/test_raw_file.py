@@ -158,7 +158,7 @@ def test_the_number_of_another_makers_system_tells_nothing():
 def test_a_size_that_the_user_states_must_not_contradict_the_header():
     start = b"% evt 3.0\n% geometry 1280x720\n"
     assert parse_header(start, where="x", sensor_size=(1280, 720)).width == 1280
-    with pytest.raises(NotARecording, match="geometry states 1280 x 720, your option states 640 x 480"):
+    with pytest.raises(NotARecording, match=r"1280 x 720, .* 640 x 480"):
         parse_header(start, where="x", sensor_size=(640, 480))
 
 
@@ -316,5 +316,5 @@ def test_a_recording_that_vanishes_is_told(tmp_path):
     recording = RawFile.open(path)
     path.unlink()
     for look in (recording.scan, lambda: recording.truncated):
-        with pytest.raises(RecordingFileError, match="There is no such file"):
+        with pytest.raises(RecordingFileError, match="no such file"):
             look()

@@ -106,7 +106,7 @@ def test_a_period_that_is_held_in_its_range_is_refused(light, bench) -> None:
 
 def test_a_setting_that_does_not_stick_is_refused_with_both_values(light, bench) -> None:
     bench.turn("RT1,5.0000", "RT1,4.9000")
-    with pytest.raises(SettingRefused, match=r"pulse width: asked 5\.0000 ms, got 4\.9000 ms"):
+    with pytest.raises(SettingRefused, match=r"pulse width: .* 5\.0000 ms, .* 4\.9000 ms"):
         light.apply(FLICKER)
 
 

@@ -30,9 +30,7 @@ FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
 
 
 def test_another_serial_number_is_refused(bench) -> None:
-    with pytest.raises(
-        WrongDevice, match="serial SG0043, but Keysight Technologies 33250A with serial SG0042"
-    ):
+    with pytest.raises(WrongDevice, match=r"SG0043, .* 33250A .* SG0042"):
         bench.open(serial="SG0043")
     assert bench.line.closed
     assert bench.commands() == []
@@ -142,7 +140,7 @@ def test_another_waveform_is_told_not_taken_for_one_of_ours(light, bench) -> Non
 
 def test_a_query_the_instrument_does_not_know_is_told_in_its_words(bench) -> None:
     line = ScpiLine(bench.line, clock=bench.clock)
-    with pytest.raises(DriverError, match=r'FLICKER\? is refused: -113 "Undefined header"'):
+    with pytest.raises(DriverError, match=r"FLICKER\? .*-113"):
         line.query("FLICKER?")
 
 

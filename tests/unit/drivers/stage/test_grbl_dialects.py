@@ -189,7 +189,7 @@ def test_a_setting_that_changes_every_angle_is_refused_unless_it_is_the_stated_o
 
 
 def test_a_stated_setting_that_the_board_does_not_have_is_named(bench) -> None:
-    with pytest.raises(OutsideLimits, match="the controller has no such setting"):
+    with pytest.raises(OutsideLimits, match="no such setting"):
         bench.open(settings={"$150": 16.0})
 
 
@@ -219,7 +219,7 @@ def test_an_axis_that_fluidnc_leaves_out_of_homing_is_refused(cycle) -> None:
     """FluidNC's Homing.h: 0 is left out of ``$H``; -1 assigns a position without a search; else it has no section."""
     bench = FluidNc()
     bench.configured["$/axes/y/homing/cycle"] = cycle
-    with pytest.raises(DeviceRefused, match="tilt: homing does not search the reference of the axis"):
+    with pytest.raises(DeviceRefused, match="tilt: homing"):
         bench.open()
     assert bench.motions() == []
 
@@ -230,7 +230,7 @@ def test_an_axis_that_homes_downwards_is_refused_though_the_version_does_not_tel
     bench.change(lambda line: b"" if line.startswith(b"$23=") else line)
     bench.configured["$/axes/x/homing/positive_direction"] = "false"
     bench.configured["$/axes/y/homing/positive_direction"] = "true"
-    with pytest.raises(OutsideLimits, match="pan: the axis homes downwards"):
+    with pytest.raises(OutsideLimits, match=r"pan: .* downwards"):
         bench.open()
 
 
@@ -246,7 +246,7 @@ def test_a_version_without_settings_is_named_and_not_the_limit_switches() -> Non
     """FluidNC's SettingsDefinitions.cpp: ``$$`` of 3.7 and older has ``$10`` and ``$13`` only."""
     bench = FluidNc()
     bench.board.settings = {10: 1.0, 13: 0.0}
-    with pytest.raises(DeviceRefused, match=r"has no \$22.*FluidNC tells them since version 3\.8") as caught:
+    with pytest.raises(DeviceRefused, match=r"no \$22.*FluidNC .*3\.8") as caught:
         bench.open()
     assert "limit switch" not in str(caught.value)
 
@@ -269,9 +269,7 @@ def test_a_position_at_the_reference_outside_the_travel_ends_the_homing(position
 def test_a_value_of_the_configuration_file_can_be_stated() -> None:
     bench = FluidNc()
     bench.configured["$/axes/x/homing/mpos_mm"] = "-3.000"
-    with pytest.raises(
-        OutsideLimits, match=r"the station has \$/axes/x/homing/mpos_mm 0, the controller has -3\."
-    ):
+    with pytest.raises(OutsideLimits, match=r"mpos_mm 0, .* -3\."):
         bench.open(settings={"$/axes/x/homing/mpos_mm": 0.0})
     bench.open(settings={"$/axes/x/homing/mpos_mm": -3.0})
 
@@ -301,7 +299,7 @@ def test_the_order_of_axes_is_that_of_the_board(letters) -> None:
 
 
 def test_an_axis_that_the_board_does_not_name_is_refused() -> None:
-    with pytest.raises(DeviceRefused, match="no axis B; its axes are X, Y, Z, A, C"):
+    with pytest.raises(DeviceRefused, match=r"no axis B; .* X, Y, Z, A, C"):
         board_with("XYZAC").open("XB")
 
 
@@ -316,7 +314,7 @@ def test_a_board_that_names_two_motors_once_is_refused(bench) -> None:
     """grbl-Mega-5X report.c, REPORT_VALUE_FOR_AXIS_NAME_ONCE: the settings have another order than the letters."""
     build = "[VER:1.1q.20210103:{}]\r\n[AXS:5:XYZA]\r\n[OPT:V,15,128]\r\n"
     bench.board.firmware = FIRMWARES["grbl"]._replace(build=build)
-    with pytest.raises(DeviceRefused, match="fewer letters than it has axes"):
+    with pytest.raises(DeviceRefused, match="fewer letters"):
         bench.open()
     assert not bench.wrote_settings()
 

@@ -66,7 +66,7 @@ def test_axes_go_together_and_where_one_stands_already_is_a_move_too(bench) -> N
 
 # ---------------------------------------------------------------- refused before anything moves
 def test_another_board_is_refused_and_nothing_is_set(bench) -> None:
-    with pytest.raises(WrongDevice, match=r"gimbal-8, but a board named 'gimbal-7' answers"):
+    with pytest.raises(WrongDevice, match=r"gimbal-8, .*'gimbal-7'"):
         bench.open(serial="gimbal-8")
     assert not bench.wrote_settings()
     assert bench.line.closed
@@ -152,7 +152,7 @@ def test_a_board_that_waits_for_a_reset_at_a_limit_is_named_at_once_and_homing_r
     """After these alarms the firmware answers nothing, not even ``?``, and forgets a reset for half a second."""
     stage = bench.homed()
     bench.board.axes["X"].arm(MotionFault("limit"))
-    with pytest.raises(MoveFailed, match=r"\(ALARM:1\)\. The board stopped all axes") as caught:
+    with pytest.raises(MoveFailed, match=r"\(ALARM:1\)") as caught:
         stage.move_to({"pan": -9.0, "tilt": -9.0})
     assert "limit switch" in caught.value.remedy
     assert RESET not in bench.line.sent
@@ -187,7 +187,7 @@ def test_a_board_that_stays_mute_is_told_with_every_cause(bench, monkeypatch) ->
     monkeypatch.setattr(grbl_controller, "WAKE_SILENCES", 3)
     bench.line.lose = lambda _request: True
     bench.board.unsolicited()
-    with pytest.raises(ReplyTimeout, match="a reset brings no welcome message") as caught:
+    with pytest.raises(ReplyTimeout, match="welcome message") as caught:
         bench.open()
     assert "baud rate" in caught.value.remedy
 
@@ -208,7 +208,7 @@ def test_an_alarm_since_homing_undoes_the_reference(bench) -> None:
 def test_homing_that_does_not_find_its_switch_has_failed(bench, monkeypatch) -> None:
     monkeypatch.setattr(Planner, "homed", lambda _self, _now: False)
     stage = bench.open()
-    with pytest.raises(MoveFailed, match=r"homing did not find the limit switch \(ALARM:9\)"):
+    with pytest.raises(MoveFailed, match=r"\(ALARM:9\)"):
         stage.home()
     assert not stage.is_homed()
 

@@ -141,7 +141,7 @@ def test_an_alarm_keeps_an_axis_from_moving_until_it_is_homed_again(bench) -> No
 def test_homing_that_leaves_no_reference_has_failed(bench) -> None:
     stage = bench.open()
     bench.tilt.axis.home = lambda *_, **__: None
-    with pytest.raises(MoveFailed, match="tilt: homing ended without a reference"):
+    with pytest.raises(MoveFailed, match=r"tilt: .* without a reference"):
         stage.home()
 
 
@@ -173,7 +173,7 @@ def test_what_the_controller_is_not_made_for_is_refused(bench, command, data, me
 
 def test_a_setting_that_reads_back_otherwise_is_refused(bench) -> None:
     bench.answer(0, b"gmov", bench.settings(0, b"gmov"))
-    with pytest.raises(DeviceRefused, match="speed and acceleration read back differently"):
+    with pytest.raises(DeviceRefused, match="read back differently"):
         bench.open()
 
 

@@ -22,17 +22,6 @@ from drivers.errors import NotARecording, RecordingFileError
 from tests.support.made_event_files import drawn_stream, same
 
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
-HEADER = (
-    b"% date 2026-03-01 12:00:00\n% format EVT3;height=720;width=1280\n% integrator_name Prophesee\n"
-    b"% sensor_name IMX636\n% serial_number 00051234\n% end\n"
-)
-
-
-@pytest.fixture
-def raw(tmp_path):
-    path = tmp_path / "pose.raw"
-    path.write_bytes(HEADER + Evt3Encoder().words(*drawn_stream()).tobytes())
-    return path
 
 
 ENDINGS = {"raw": ".raw", "metavision": ".hdf5", "hdf5": ".h5", "numpy": ".npz"}
@@ -132,7 +121,7 @@ def test_times_that_would_fill_the_disk_with_clock_words_are_refused(tmp_path, t
         tmp_path / "a.npz", t=np.array([t]), x=zero, y=zero, p=zero, size=np.array([1280, 720]),
         trigger_t=np.zeros(0, int), trigger_value=np.zeros(0, int), trigger_id=np.zeros(0, int),
     )  # fmt: skip
-    with pytest.raises(RecordingFileError, match="do not lie within one day from 0 on"):
+    with pytest.raises(RecordingFileError, match="one day"):
         convert(tmp_path / "a.npz", tmp_path / "a.raw", "raw")
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
@@ -175,7 +164,7 @@ def test_the_encoder_takes_no_event_that_would_become_another(x, y, p, words):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_folder_that_is_not_there_is_told(tmp_path, kind):
-    with pytest.raises(RecordingFileError, match=r"none.out: .*no such folder"):
+    with pytest.raises(RecordingFileError, match=r"none.out: .*folder"):
         convert(npz(tmp_path / "a.npz"), tmp_path / "none" / "out", kind)
 
 

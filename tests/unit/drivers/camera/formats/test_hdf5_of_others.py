@@ -217,31 +217,23 @@ def test_metavision_without_edges_and_without_a_size_is_read(written, has_group)
     assert len(imported.triggers.t) == 0
 
 
-def test_a_size_of_metavision_is_found_where_a_header_states_it(written):
-    def fill(file):
-        metavision(file)
-        file.attrs["format"] = "EVT3;height=260;width=346"
-
-    imported = written(fill, ReadingChoices())
-    assert (imported.width, imported.height) == SIZE
+def size_in_a_header(file):
+    metavision(file)
+    file.attrs["format"] = "EVT3;height=260;width=346"
 
 
-def test_our_own_layout_without_edges_states_its_size(written):
-    def fill(file):
-        columns(file.create_group("events"))
-        file.attrs.update(width=SIZE[0], height=SIZE[1])
-
-    imported = written(fill, ReadingChoices())
-    assert_same(imported)
-    assert (imported.width, imported.height) == SIZE
+def size_of_our_own(file):
+    columns(file.create_group("events"))
+    file.attrs.update(width=SIZE[0], height=SIZE[1])
 
 
-def test_a_size_beside_the_columns_is_that_of_the_sensor(written):
-    def fill(file):
-        group = file.create_group("events")
-        columns(group)
-        group.attrs.update(width=SIZE[0], height=SIZE[1])
+def size_beside_the_columns(file):
+    columns(file.create_group("events"))
+    file["events"].attrs.update(width=SIZE[0], height=SIZE[1])
 
+
+@pytest.mark.parametrize("fill", [size_in_a_header, size_of_our_own, size_beside_the_columns])
+def test_a_size_that_the_file_states_is_that_of_the_sensor(written, fill):
     imported = written(fill, ReadingChoices())
     assert_same(imported)
     assert (imported.width, imported.height) == SIZE

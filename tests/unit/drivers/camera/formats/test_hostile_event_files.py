@@ -153,7 +153,7 @@ def test_three_hundred_million_rows_in_a_small_file_are_refused_before_they_are_
         for name, kind in COLUMNS.items():
             file.create_dataset(f"events/{name}", (n,), kind, chunks=(1 << 20,), compression=9)
             file[f"events/{name}"].id.write_direct_chunk((0,), zlib.compress(bytes(1 << 20)))
-    with pytest.raises(NotARecording, match=r"states 2400000000 bytes in .*cannot be compressed so far"):
+    with pytest.raises(NotARecording, match="2400000000 bytes"):
         import_events(tmp_path / "a.h5")
 
 
@@ -206,7 +206,7 @@ class Opens:
 
 def test_a_pickled_object_is_not_loaded(tmp_path):
     path = npz(tmp_path / "a.npz", t=np.array([Opens(tmp_path / "executed")] * N, object))
-    with pytest.raises(NotARecording, match=r"t of this \.npz file is no whole array of numbers"):
+    with pytest.raises(NotARecording, match=r"t of this \.npz file"):
         import_events(path)
     assert not (tmp_path / "executed").exists()
 

@@ -8,19 +8,11 @@ import pytest
 
 from drivers.camera.event_arrays import Triggers
 from drivers.camera.formats import parquet_export
-from drivers.camera.formats.event_conversion import Evt3Encoder, convert
+from drivers.camera.formats.event_conversion import convert
 from drivers.errors import CameraSoftwareMissing, RecordingFileError
 from tests.support.made_event_files import drawn_stream, same
 
 parquet = pytest.importorskip("pyarrow.parquet")
-HEADER = b"% format EVT3;height=720;width=1280\n% serial_number 00051234\n% end\n"
-
-
-@pytest.fixture
-def raw(tmp_path):
-    path = tmp_path / "pose.raw"
-    path.write_bytes(HEADER + Evt3Encoder().words(*drawn_stream()).tobytes())
-    return path
 
 
 def test_columns_and_metadata_hold_what_was_recorded(raw, tmp_path, monkeypatch):

@@ -156,7 +156,7 @@ def test_text_without_names_in_another_order_is_not_read(tmp_path, order):
 
 def test_text_without_a_size_or_with_a_torn_line_is_refused(tmp_path):
     path = text(tmp_path / "a.txt", "", "txyp", " ")
-    with pytest.raises(NotARecording, match=r"text file of events, which does not state.*--sensor-size"):
+    with pytest.raises(NotARecording, match="--sensor-size"):
         import_events(path)
     path.write_text(path.read_text() + "45000 3\n45001 2 3 1\n")
     with pytest.raises(NotARecording, match=f"Line {N + 1} does not hold the numbers of an event: '45000 3'"):

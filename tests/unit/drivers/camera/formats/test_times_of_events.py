@@ -36,7 +36,7 @@ def hdf5(folder, **changed):
 def test_events_that_are_not_sorted_are_refused(tmp_path, make):
     mixed = CHANCE.permutation(N)
     path = make(tmp_path, **{name: values[mixed] for name, values in ROWS.items()})
-    with pytest.raises(NotARecording, match=r"times step back from \d+ to \d+ us.*Sort them by time"):
+    with pytest.raises(NotARecording, match=r"from \d+ to \d+ us.*Sort"):
         import_events(path, SIZED)
 
 

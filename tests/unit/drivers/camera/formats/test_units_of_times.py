@@ -92,7 +92,7 @@ def test_times_in_us_with_parts_of_a_us_are_told_by_every_unit_that_fits(tmp_pat
     """As of seconds times 1e6: 0.2 s; the 0.0002 s of ns would fit the rate too, but not parts of a ns."""
     few = {name: values[::3] for name, values in OTHERS.items()}
     np.savez(tmp_path / "a.npz", t=(T_US + FRACTIONS / 1000)[::3], **few)
-    with pytest.raises(NotARecording, match=r"probably in us.*--time-unit us\.$"):
+    with pytest.raises(NotARecording, match=r"--time-unit us\.$"):
         import_events(tmp_path / "a.npz", ReadingChoices(SIZE))
     with pytest.raises(NotARecording, match=r"parts of a ns.*probably in us"):
         import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="ns"))
@@ -122,7 +122,7 @@ def test_the_name_of_a_column_states_the_unit(tmp_path, name):
 
 
 def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
-    with pytest.raises(NotARecording, match=r"states its times in us\. Leave out --time-unit"):
+    with pytest.raises(NotARecording, match=r"in us\. .*--time-unit"):
         import_events(hdf5(tmp_path, T_US, t_offset=0), ReadingChoices(SIZE, time_unit="ns"))
     (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
     with pytest.raises(NotARecording, match="Leave out --time-unit"):

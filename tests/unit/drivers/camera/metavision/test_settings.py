@@ -46,7 +46,7 @@ def test_the_trail_filter_is_told_as_what_it_does(device, camera, kind, expected
 
 def test_a_filter_that_stays_on_is_noticed(device, camera):
     device.facilities["antiflicker_module"].sticks = True
-    with pytest.raises(CameraSettingRefused, match="filters afk could not be switched off"):
+    with pytest.raises(CameraSettingRefused, match="filters afk"):
         camera.apply(CameraSettings())
 
 
@@ -59,7 +59,7 @@ def test_a_region_of_interest_is_set_and_taken_away_again(device, camera):
 
 
 def test_a_region_beyond_the_sensor_is_refused_before_it_is_set(device, camera):
-    with pytest.raises(CameraSettingRefused, match="beyond the sensor of 1280 x 720 px"):
+    with pytest.raises(CameraSettingRefused, match="1280 x 720 px"):
         camera.apply(CameraSettings(roi=(640, 0, 641, 720)))
     assert device.facilities["roi"].window is None
 
@@ -75,14 +75,14 @@ def test_a_region_that_is_not_taken_or_that_there_is_none_of_is_told(device, cam
 
 
 def test_a_bias_out_of_range_is_refused_with_the_range(device, camera):
-    with pytest.raises(CameraSettingRefused, match="bias_fo from -35 to 55, not 60"):
+    with pytest.raises(CameraSettingRefused, match=r"bias_fo .*-35 .* 55, .* 60"):
         camera.apply(CameraSettings({"bias_fo": 60}))
     assert device.facilities["ll_biases"].values["bias_fo"] != 60
 
 
 def test_a_bias_that_does_not_stick_is_noticed(device, camera):
     device.facilities["ll_biases"].deaf_to.add("bias_hpf")
-    with pytest.raises(CameraSettingRefused, match="bias_hpf was set to 7, but reads back 0"):
+    with pytest.raises(CameraSettingRefused, match=r"bias_hpf .* 7, .* 0"):
         camera.apply(CameraSettings({"bias_hpf": 7}))
 
 
