@@ -38,6 +38,8 @@ from calib.view import View
 _DIRECTIONS = (*amp.POSE, *amp.COMMON, *amp.TURN, *amp.TURN_2, amp.CHANGE)
 #: Readings that scatter this many times more than stated contradict the stars, and do not enter.
 _MOST_SCATTER = 3.0
+#: The radius holds the scale of the common field of a passport. That is 0 to so much, far below any other uncertainty.
+_NO_SCALE = 1e-8
 #: Nor if a scale differs by this many times what a wrong statement is expected to.
 _FARTHEST_SCALE = 3.0
 
@@ -219,10 +221,11 @@ def _glass(posterior: Posterior, views: Sequence[View]) -> Passport:
     layout = posterior.optimum.marginal.problem.bench.layout
     names = (*CENTRE, *RADIAL, *(f"{FIELD}{k}" for k in COMMON_PLACES))
     rows = as_seen(layout)[layout.places(names)]
+    field = np.array([name.startswith(FIELD) for name in names])
     return Passport(
         names,
         rows @ posterior.mean,
-        rows @ posterior.covariance @ rows.T,
+        rows @ posterior.covariance @ rows.T + np.diag(field * _NO_SCALE**2),
         layout.basis.reference,
         posterior.reported.disagreement,
         tuple(view.name for view in views),
