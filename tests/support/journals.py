@@ -19,6 +19,8 @@ from bench.record.run_log import RunLog
 from bench.run.control import CommandInbox
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
+CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+"""Of journals in which no time passes."""
 GATES = [
     {"name": "stars", "value": 200, "unit": "", "limit": ">= 40", "verdict": "pass"},
     {"name": "event rate", "value": 90.0, "unit": "Mev/s", "limit": "<= 200", "verdict": "pass"},

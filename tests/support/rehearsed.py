@@ -75,6 +75,21 @@ class Scene:
         self.calls.append(name)
         return self.hook(name)
 
+    def at(self, call, nth, do):
+        """Do something at the n-th call of a name, of all runs of this scene."""
+
+        def hook(name):
+            if name == call and self.calls.count(name) == nth:
+                do()
+
+        self.hook = hook
+
+    def fail_at(self, call, nth, error):
+        def fail():
+            raise error
+
+        self.at(call, nth, fail)
+
     def light_and_stage(self):
         return self.opened[-1]
 

@@ -4,11 +4,11 @@ import hashlib
 import os
 import pickle
 import subprocess
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from expected_stars import THREE, expected_views, write_points
+from journals import CLOCKS
 
 from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import create_key, load_key
@@ -16,6 +16,7 @@ from bench.evidence.seal import seal
 from bench.evidence.signers import read_signers
 from bench.measure.kept_views import KeptViews
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name
+from bench.record.ledger import Ledger
 from bench.record.run_folder import RunFolder
 from calib.engine import calibrate
 from tests.unit.bench.evidence.resealed import copied
@@ -67,6 +68,18 @@ def calibrated_once(monkeypatch):
     monkeypatch.setattr("bench.solve.solution.calibrate", once)
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    """The next pose is chosen on a coarse grid, which is not refined."""
+    monkeypatch.setattr("bench.solve.next_pose.GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
+    monkeypatch.setattr("bench.solve.next_pose.REFINEMENTS", ())
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    return Ledger(tmp_path / "home", **CLOCKS)
+
+
 @pytest.fixture(scope="session")
 def home(tmp_path_factory):
     """A configuration folder with a key in it."""
@@ -88,12 +101,11 @@ def signers(home):
 def make_a_run(path, *, serial="00050423"):
     """Make a run of two poses, one of them with two attempts; returns the folder, held, its journal closed."""
     folder = RunFolder.create(path)
-    clocks = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
     poses = []
     documents = {name: f"{name} of a run\n".encode() for name in ("sequence.yaml", "station.yaml")}
     for name, text in {**documents, "plan.json": b"{}\n"}.items():
         folder.write_atomic(name, text)
-    with Journal.create(folder.journal_path, **clocks) as journal:
+    with Journal.create(folder.journal_path, **CLOCKS) as journal:
         hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
         journal.append("run_started", id="run-1", sha256=hashes)
         for pose, attempts in ((1, 2), (2, 1)):

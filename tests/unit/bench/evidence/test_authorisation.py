@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from authorising import make_key, needs_certificates, needs_ssh_keygen, person, ssh_verifies
+from refusals import full
 
 from bench.base.errors import EvidenceError, StorageError
 from bench.evidence import beside_seal
@@ -186,11 +187,8 @@ def test_a_failure_leaves_the_folder_as_it_was(sealed_once, tmp_path, monkeypatc
     if named:
         monkeypatch.setattr(beside_seal, "write_and_link", beside_seal.write_and_rename)
 
-    def fail(*_, **__):
-        raise OSError(28, "No space left on device")
-
     with monkeypatch.context() as patch:
-        patch.setattr(os, fails, fail)
+        patch.setattr(os, fails, full)
         with pytest.raises(StorageError, match="disk is full"):
             add_beside(folder, RESERVED[0], b"signature")
     assert modes(folder) == before

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from authorising import needs_certificates
 from click.testing import CliRunner
+from journals import CLOCKS
 
 from bench.base.home import HOME_VARIABLE
 from bench.commands.cli import cli
@@ -21,7 +22,6 @@ from bench.record.run_folder import RunFolder
 from bench.record.run_index import RunIndex
 from tests.unit.bench.evidence.resealed import reseal, writable
 
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 SOFTWARE = {"starbench": "1"}
 
 

@@ -9,6 +9,7 @@ import pytest
 from authorising import needs_ssh_keygen
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import denied
 
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
@@ -135,7 +136,7 @@ def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path, monkeypatch):
 
     def scandir(path):
         if str(path).endswith("exports"):
-            raise PermissionError(13, "Permission denied", str(path))
+            denied(path)
         return real(path)
 
     monkeypatch.setattr(os, "scandir", scandir)

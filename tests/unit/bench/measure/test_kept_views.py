@@ -1,6 +1,5 @@
 """Kept views: found once, equal to the last bit, never trusted when broken, bounded, private, safe with two processes."""
 
-import errno
 import os
 import threading
 
@@ -8,6 +7,7 @@ import grimp
 import numpy as np
 import pytest
 from made_views import made_rim, made_view
+from refusals import full
 from solved_run import write_solved_run
 
 from bench.measure import kept_views
@@ -160,9 +160,6 @@ def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
 
 
 def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     monkeypatch.setattr("pathlib.Path.replace", full)
     find = Finder(made_view(rim=made_rim()))
     for _ in range(2):

@@ -4,6 +4,7 @@ import os
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from journals import CLOCKS
 
 from bench.base.errors import JournalBroken
 from bench.record import events
@@ -25,9 +26,6 @@ from bench.record.history import replay
 from bench.record.journal import Journal
 from bench.record.measured_facts import GateData
 from bench.record.run_log import RunLog
-
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
-
 
 ATTEMPTS = [(2, 1, False), (1, 1, True), (2, 2, True), (1, 2, True), (3, 1, None)]
 

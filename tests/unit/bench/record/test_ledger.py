@@ -3,22 +3,15 @@
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from journals import CLOCKS
 
 from bench.base.errors import JournalBroken
 from bench.evidence.seal import seal
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
-
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    return Ledger(tmp_path / "home", **CLOCKS)
 
 
 def begin(ledger, run="run", camera="00050423", simulated=False, folder=Path("/runs/run")):

@@ -10,18 +10,12 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from journals import CLOCKS
 
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
 from bench.record.ledger_marks import MARK, RunFault, highest_counts
-
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    return Ledger(tmp_path / "home", **CLOCKS)
 
 
 def begin(ledger, run="run", **more):

@@ -1,6 +1,5 @@
 """The run folder: one holder, whole files only, and order after a crash."""
 
-import errno
 import os
 import pwd
 import re
@@ -12,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from refusals import denied, full
 
 from bench.base.errors import RunFolderError, StorageError, UsageError
 from bench.record import run_folder as run_folder_module
@@ -73,10 +73,7 @@ def test_a_file_in_the_way_is_named(tmp_path):
 
 
 def test_no_permission_is_told(tmp_path, monkeypatch):
-    def deny(self, *_args, **_kwargs):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
-
-    monkeypatch.setattr("pathlib.Path.mkdir", deny)
+    monkeypatch.setattr("pathlib.Path.mkdir", denied)
     with pytest.raises(StorageError, match=r"run: No permission\. Change its mode"):
         RunFolder.create(tmp_path / "run")
 
@@ -149,10 +146,7 @@ def test_a_refusal_leaves_no_file_open(run, journal):
 
 
 def test_a_file_that_may_not_be_written_is_named_by_its_own_name(tmp_path, monkeypatch):
-    def refused(path, *_args):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-
-    monkeypatch.setattr(os, "open", refused)
+    monkeypatch.setattr(os, "open", denied)
     with pytest.raises(StorageError, match=re.escape(f"{tmp_path / 'my.yaml'}: No permission")):
         write_atomic(tmp_path / "my.yaml", b"")
 
@@ -160,9 +154,6 @@ def test_a_file_that_may_not_be_written_is_named_by_its_own_name(tmp_path, monke
 @pytest.mark.parametrize("call", ["write", "fsync"])
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(run, monkeypatch, call):
     run.write_atomic("results.json", b"old")
-
-    def full(*_args):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, call, full)
     with pytest.raises(StorageError, match=r"results.json: The disk is full\."):
@@ -191,9 +182,6 @@ def test_a_resumed_run_has_its_reserve_again_unless_the_disk_is_full(run, journa
         run.release_reserve()
         assert not reserve.exists()
     run.close()
-
-    def full(*_args):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", full)

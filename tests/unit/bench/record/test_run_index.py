@@ -1,6 +1,5 @@
 """The index of runs: nothing but what the journals say, however old or broken the index itself is."""
 
-import errno
 import os
 import sqlite3
 from contextlib import closing
@@ -8,6 +7,7 @@ from datetime import UTC, datetime
 
 import pytest
 from many_runs import write_run
+from refusals import denied
 
 from bench.base.errors import StorageError, UsageError
 from bench.record.coverage import Estimate
@@ -156,10 +156,7 @@ def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
 
 
 def test_a_folder_that_may_not_be_read_is_not_called_empty(tmp_path, monkeypatch):
-    def refused(path):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-
-    monkeypatch.setattr(os, "scandir", refused)
+    monkeypatch.setattr(os, "scandir", denied)
     with pytest.raises(StorageError, match="No permission"):
         run_folders(tmp_path)
 

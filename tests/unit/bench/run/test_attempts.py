@@ -64,12 +64,11 @@ def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable
 def test_a_skipped_pose_is_left_out_and_the_results_say_who_asked(tmp_path, monkeypatch):
     scene = with_runner(Scene(tmp_path, poses=THREE, end=END), monkeypatch)
 
-    def skip(name):
-        if name == "stage.home":
-            for request in ("one", "again"):
-                scene.runner.inbox.decide(Command(word="skip", by="ada", pose=2), request)
+    def skip_twice():
+        for request in ("one", "again"):
+            scene.runner.inbox.decide(Command(word="skip", by="ada", pose=2), request)
 
-    scene.hook = skip
+    scene.at("stage.home", 1, skip_twice)
     assert scene.run().how == "finished"
     answers = scene.data_of(Event.COMMANDED)
     assert [answer["taken"] for answer in answers] == [True, False]

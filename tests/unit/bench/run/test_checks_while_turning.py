@@ -19,6 +19,8 @@ from bench.run.control import Command
 from drivers.errors import PortLost
 from sequences.script import RecordStep
 
+SKIP = Command(word="skip", by="ada", pose=1)
+
 
 @pytest.fixture
 def scene(tmp_path):
@@ -121,19 +123,10 @@ def test_a_run_killed_after_any_line_keeps_every_pose_and_repeats_none(reject, t
 
 def test_a_stop_while_the_stage_turns_leaves_the_recording_to_be_checked_on_resuming(scene, monkeypatch):
     with_runner(scene, monkeypatch)
-    moves = []
-
-    def stop(name):
-        if name == "stage.move_to":
-            moves.append(name)
-            if len(moves) == 2:
-                scene.runner.context.clock.request_stop("stopped by Ctrl-C")
-
-    scene.hook = stop
+    scene.at("stage.move_to", 2, lambda: scene.runner.context.clock.request_stop("stopped by Ctrl-C"))
     assert scene.run().how == "aborted"
     assert not scene.light_is_on()
     assert scene.data_of(Event.ATTEMPT_CHECKED) == []
-    scene.hook = lambda _name: None
     assert scene.run().how == "finished"
     assert len(scene.data_of(Event.CAPTURE_STORED)) == 3
     see_each_pose_once(scene)
@@ -146,15 +139,7 @@ def test_an_interlock_while_the_stage_turns_holds_the_run_and_the_check_counts_a
         poses=THREE,
         station="interlocks: {device_lost: {retry_s: 1, max_hold_s: 60}}\n",
     )
-    moves = []
-
-    def lose(name):
-        if name == "stage.move_to":
-            moves.append(name)
-            if len(moves) == 2:
-                raise PortLost("the port is gone")
-
-    scene.hook = lose
+    scene.fail_at("stage.move_to", 2, PortLost("the port is gone"))
     assert scene.run().how == "finished"
     assert len(scene.data_of(Event.CAPTURE_STORED)) == 3
     see_each_pose_once(scene)
@@ -167,15 +152,7 @@ def test_a_pose_in_check_that_an_operator_skips_counts_if_it_is_accepted_and_is_
         (tmp_path / name).mkdir()
         scene = with_runner(Scene(tmp_path / name, poses=THREE), monkeypatch)
         reject(rejected)
-        moves = []
-
-        def skip(call, scene=scene, moves=moves):
-            if call == "stage.move_to":
-                moves.append(call)
-                if len(moves) == 2:
-                    scene.runner.inbox.decide(Command(word="skip", by="ada", pose=1), "request")
-
-        scene.hook = skip
+        scene.at("stage.move_to", 2, lambda scene=scene: scene.runner.inbox.decide(SKIP, "request"))
         assert scene.run().how == "finished"
         history = replay(read_journal(scene.folder / "journal.jsonl")[0])
         assert sorted(history.accepted()) == poses, name

@@ -3,11 +3,11 @@
 import json
 import os
 import threading
-from datetime import UTC, datetime
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from journals import CLOCKS
 from pydantic import ValidationError
 
 from bench.base.clock import Aborted, BenchClock
@@ -22,7 +22,6 @@ from bench.record.run_log import RunLog
 from bench.run.control import CONTROL, Command, CommandInbox, refusal, send
 
 POSES = {1: "left", 2: "right", 3: "below"}
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
 
 def command(word, by="ada", **more):

@@ -1,9 +1,9 @@
 """A crash is counted exactly once, at whatever moment the process dies."""
 
-from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import pytest
+from journals import CLOCKS
 
 from bench.base.clock import BenchClock
 from bench.record.events import Event
@@ -14,8 +14,6 @@ from bench.run import launch
 from bench.run.crash_log import CRASH_LOG, write_crash_log
 from bench.run.launch import Launch, resume_run
 from bench.run.runner import RunEnd
-
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
 
 @pytest.fixture

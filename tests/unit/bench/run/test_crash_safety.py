@@ -7,10 +7,10 @@ kills the process, or fails. Death is an exception that nothing of ours catches.
 import errno
 import os
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from journals import CLOCKS
 
 from bench.base.errors import BenchError, StorageError
 from bench.evidence.seal import seal
@@ -20,7 +20,6 @@ from bench.record.recovery import recover
 from bench.record.run_folder import RunFolder
 
 POSES = 3
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
 
 @pytest.fixture(autouse=True)

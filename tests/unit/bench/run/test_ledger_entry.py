@@ -1,23 +1,14 @@
 """A run and the ledger: a break is told to the operator, journaled and reported; a strict station refuses it."""
 
-from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import pytest
 
 from bench.base.errors import EvidenceError
-from bench.record.ledger import Ledger
 from bench.report.run_tables import identification
 from bench.run.ledger_entry import enter_in_ledger, ledger_entry, ledger_lines, refuse_broken_ledger
 from bench.run.runner import RunEnd
 from bench.stations.station import LedgerConfig
-
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    return Ledger(tmp_path / "home", **CLOCKS)
 
 
 def job(**section):

@@ -22,13 +22,9 @@ def test_a_changed_system_clock_is_reported_and_changes_nothing_else(tmp_path, m
     scene = Scene(tmp_path)
     utc_now = VirtualClock.utc_now
     set_by = [timedelta()]
-    monkeypatch.setattr(VirtualClock, "utc_now", lambda clock: utc_now(clock) + set_by[0])
+    monkeypatch.setattr(VirtualClock, "utc_now", lambda clock: utc_now(clock) + set_by[-1])
 
-    def hook(name):
-        if name == "camera.record":
-            set_by[0] = timedelta(hours=hours)
-
-    scene.hook = hook
+    scene.at("camera.record", 1, lambda: set_by.append(timedelta(hours=hours)))
     assert scene.run().how == "finished"
     (jump,) = scene.data_of(CLOCK_JUMPED)
     assert jump["jump_s"] == pytest.approx(3600 * hours, abs=2)
@@ -44,14 +40,9 @@ def test_a_recording_in_which_the_computer_was_suspended_is_made_again(
 ):
     """CLOCK_MONOTONIC stands still while a computer is suspended: nothing else notices the gap."""
     scene = Scene(tmp_path)
-    slept_s, left_s = [0.0], [asleep_s]
-    monkeypatch.setattr(VirtualClock, "asleep_s", lambda _clock: slept_s[0])
-
-    def hook(name):
-        if name == "camera.record":
-            slept_s[0] += left_s.pop() if left_s else 0.0
-
-    scene.hook = hook
+    slept_s = []
+    monkeypatch.setattr(VirtualClock, "asleep_s", lambda _clock: sum(slept_s))
+    scene.at("camera.record", 1, lambda: slept_s.append(asleep_s))
     assert scene.run().how == "finished"
     checked = scene.data_of(Event.ATTEMPT_CHECKED)
     assert len(checked) == attempts
@@ -64,15 +55,9 @@ def test_a_recording_in_which_the_computer_was_suspended_is_made_again(
 def test_a_light_that_went_dark_is_named_and_not_the_cable_of_the_camera(tmp_path):
     """Overload, a watchdog in the light, or a person switches it off; then the camera sees no trigger edges either."""
     scene = Scene(tmp_path)
-
-    def hook(name):
-        if name == "camera.record":
-            scene.light_and_stage()[0].lit = False
-
-    scene.hook = hook
+    scene.at("camera.record", 1, lambda: setattr(scene.light_and_stage()[0], "lit", False))
     end = scene.run()
     assert end.how == "failed"
     assert "the light was switched on, and is dark after a recording" in end.why
-    scene.hook = lambda _name: None
     assert scene.run().how == "finished"
     assert accepted(scene) == [1, 2]

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 from locking_process import locking, suspend
+from refusals import full
 from rehearsed import Scene, with_runner
 
 from bench.base.errors import RunFolderError
@@ -239,10 +240,6 @@ def test_without_an_inbox_or_an_image_nothing_is_left(tmp_path):
 
 def test_a_full_disk_does_not_disturb_the_run(tmp_path, monkeypatch):
     (tmp_path / CONTROL).mkdir()
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
     monkeypatch.setattr("pathlib.Path.write_bytes", full)
     leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
     assert read_last_view(tmp_path) is None

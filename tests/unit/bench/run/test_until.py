@@ -17,28 +17,12 @@ from bench.solve import interim, next_pose
 from drivers.errors import RecordingFailed
 
 NEVER = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"
-
-
-@pytest.fixture(autouse=True)
-def _coarse(monkeypatch):
-    monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
-    monkeypatch.setattr(next_pose, "REFINEMENTS", ())
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+pytestmark = pytest.mark.usefixtures("coarse")
 
 
 def until_scene(folder, until=NEVER, model="spherical", **more):
     folder.mkdir(parents=True, exist_ok=True)
     return Scene(folder, sequence=write_until(folder / "sequence.yaml", until, model), **more)
-
-
-def raising(scene, recording, error):
-    """A hook that raises at a recording, counted from 1."""
-
-    def hook(name):
-        if name == "camera.record" and scene.calls.count(name) == recording:
-            raise error
-
-    return hook
 
 
 def decisions(scene):
@@ -99,14 +83,13 @@ def test_cut_off_before_and_after_its_decision_it_goes_on_with_the_same_poses(tm
         assert decisions(scene)[0] == decisions(whole)[0], cut
         steps, due = ([decision["step"] for decision in decisions(of)] for of in (scene, whole))
         assert steps == due, cut
-        assert angles(scene) == angles(whole), (
-            cut
-        )  # a recording made again has other noise, but not another pose
+        # A recording made again has other noise, but not another pose.
+        assert angles(scene) == angles(whole), cut
 
 
 def test_a_pose_that_fails_is_left_behind_and_not_chosen_again(tmp_path):
     scene = until_scene(tmp_path, NEVER)
-    scene.hook = raising(scene, 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
+    scene.fail_at("camera.record", 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
     assert scene.run().how == "finished"
     chosen = [decision["chosen"]["angles_deg"] for decision in decisions(scene) if "chosen" in decision]
     assert len(chosen) == 3
@@ -117,7 +100,7 @@ def test_a_pose_that_fails_is_left_behind_and_not_chosen_again(tmp_path):
 
 def test_a_failed_pose_ends_the_run_if_the_sequence_says_so_and_a_resumed_run_tries_it_again(tmp_path):
     scene = until_scene(tmp_path, NEVER.replace("at_most", "record: {on_failure: fail}, at_most"))
-    scene.hook = raising(scene, 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
+    scene.fail_at("camera.record", 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
     assert scene.run().how == "failed"
     first = decisions(scene)
     assert scene.run().how == "finished"
@@ -138,12 +121,9 @@ def test_the_minutes_end_it_and_only_worked_time_counts(tmp_path):
 
 def test_time_between_two_processes_does_not_count(tmp_path):
     scene = until_scene(tmp_path, NEVER)
-    scene.hook = lambda name: (
-        exec("raise KeyboardInterrupt") if scene.calls.count("camera.record") == 4 else None
-    )
+    scene.fail_at("camera.record", 4, KeyboardInterrupt)
     with pytest.raises(KeyboardInterrupt):
         scene.run()
-    scene.hook = lambda _name: None
     scene.clock.sleep(3600)
     assert scene.run().how == "finished"
     assert scene.data_of(Event.UNTIL_DECIDED)[-1]["worked_s"] < 60
@@ -173,14 +153,12 @@ def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_pat
     scene = with_runner(until_scene(tmp_path, NEVER), monkeypatch)
     refused = []
 
-    def skip_fourth(name):
-        if name == "stage.move_to" and scene.calls.count(name) == 4:
-            inbox = scene.runner.inbox
-            inbox.decide(Command(word="skip", by="ada", pose=9), "one")
-            inbox.decide(Command(word="skip", by="ada", pose=4), "two")
-            refused.extend(scene.data_of(Event.COMMANDED))
+    def skip():
+        for pose in (9, 4):
+            scene.runner.inbox.decide(Command(word="skip", by="ada", pose=pose), str(pose))
+        refused.extend(scene.data_of(Event.COMMANDED))
 
-    scene.hook = skip_fourth
+    scene.at("stage.move_to", 4, skip)
     assert scene.run().how == "finished"
     assert [answer["taken"] for answer in refused] == [False, True]
     assert sorted(angles(scene)) == [1, 2, 3, 5, 6]

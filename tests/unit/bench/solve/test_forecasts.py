@@ -8,7 +8,7 @@ import pytest
 from calling import out_of
 
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
-from bench.solve import forecasts, next_pose
+from bench.solve import forecasts
 from bench.solve.expectations import expected_uncertainty
 from bench.solve.forecasts import forecast_bench, suggest_poses
 from bench.stations.station import ExpectedConfig
@@ -32,12 +32,6 @@ def solved(tmp_path):
         return plan(str(tmp_path / "nine.yaml"))
 
     return write
-
-
-@pytest.fixture
-def coarse(monkeypatch):
-    monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
-    monkeypatch.setattr(next_pose, "REFINEMENTS", ())
 
 
 def test_what_a_station_does_not_state_is_typical():

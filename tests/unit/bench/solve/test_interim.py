@@ -9,7 +9,7 @@ import pytest
 
 from bench.plan.job import Job
 from bench.record.history import History
-from bench.solve import interim, next_pose
+from bench.solve import interim
 from bench.solve.forecasts import expected_bench
 from bench.solve.interim import Interim, decide
 from bench.solve.next_pose import Choice, Wish, choose_pose
@@ -35,12 +35,6 @@ WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}
 def job():
     goals = {f"sequence.steps.1.until.{name}": str(goal) for name, goal in WANTED.items()}
     return Job.from_files("until_good", "simulated", seed=1, operator=None, settings=goals)
-
-
-@pytest.fixture
-def coarse(monkeypatch):
-    monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
-    monkeypatch.setattr(next_pose, "REFINEMENTS", ())
 
 
 def wish(**changes):
