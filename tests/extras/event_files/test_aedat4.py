@@ -142,7 +142,7 @@ def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     path = tmp_path / "a.aedat4"
     path.write_bytes(header(NONE))
-    with pytest.raises(CameraSoftwareMissing, match="package aedat") as caught:
+    with pytest.raises(CameraSoftwareMissing, match=r"package aedat\.") as caught:
         import_events(path)
     assert caught.value.where == str(path)
-    assert "pip install aedat" in caught.value.remedy
+    assert caught.value.remedy == "Install it: pip install aedat"
