@@ -271,7 +271,6 @@ class LightControl:
         steady = self._for_camera(now.flicker).waveform == "steady"
         return {
             "on": now.on,
-            "waveform": self._for_camera(now.flicker).waveform,
             "steady_only": steady,
             "frequency_hz": now.flicker.frequency_hz,
             "duty_percent": now.flicker.duty_percent,
@@ -286,12 +285,6 @@ class LightControl:
 
     def _check(self, given: dict[str, Any]) -> None:
         """Check the ranges. Raises ControlRefused."""
-        if given.get("waveform", "square") not in ("square", "sine", "steady"):
-            raise ControlRefused(
-                f"The light has no waveform {given['waveform']!r}.",
-                where="light",
-                remedy="Use square or sine.",
-            )
         ranges = {**RANGES, "frequency_hz": self._config.frequency_range_hz}
         for name, (low, high) in ranges.items():
             value = given.get(name, low)

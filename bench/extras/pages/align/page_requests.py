@@ -49,8 +49,6 @@ class PageRequests:
             for name in ("frequency_hz", "duty_percent", "level_percent")
             if name in body
         }
-        if "waveform" in body:
-            numbers["waveform"] = body["waveform"]
         on = body.get("on")
         if on is not None and not isinstance(on, bool):
             raise UsageError("`on` must be true or false.", remedy=_AGAIN)

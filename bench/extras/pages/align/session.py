@@ -37,7 +37,7 @@ _WATCH_S = 0.05  # Below what a person notices as a delay
 _LOOK_MOVING_S = 0.15  # Often enough to follow a move by eye
 _LOOK_RESTING_S = 1.0  # Nothing changes by itself; somebody may turn the stage by hand
 _LOOK_THOROUGHLY_S = 4.0  # Faults and limits take more queries
-_OLD_S = 6.0  # Age of a picture from which it shows nothing any more: the longest slice, and its measurement
+_OLD_S = 10.0  # Age of a picture that shows nothing any more: the longest slice, measured on a busy computer
 _LOOK_LIGHT_S = 2.0  # A generator's front panel may be touched; each query takes its line
 
 

@@ -31,7 +31,9 @@ BEAM_STEP_DEG, BEAM_STEP_PX = 1.0, 50.0
 _TURNED_DEG: Final = 0.02
 """Change of a reading from which the stage has turned, degrees."""
 _PICTURES: Final = 7
-"""Pictures of one pose whose median is shown: noise moves each turn, and hides a blurred tag now and then."""
+"""Pictures whose median is shown: noise moves each turn."""
+_REMEMBERED: Final = 30
+"""Pictures of one pose for which what tells the turn best counts: noise hides a blurred tag in most of them."""
 
 Offset = tuple[float, float]
 
@@ -59,10 +61,10 @@ class TurnFigures:
 
 
 class SteadyTurn:
-    """The turn of the last pictures of one pose: the median of those by what tells it best."""
+    """The turn at one pose: the median of the last pictures by what tells it best."""
 
     def __init__(self) -> None:
-        self._recent: deque[TurnFigures] = deque(maxlen=_PICTURES)
+        self._recent: deque[TurnFigures] = deque(maxlen=_REMEMBERED)
         self._reading_deg: Mapping[str, float] = {}
 
     def steady(self, turn: TurnFigures, reading_deg: Mapping[str, float]) -> TurnFigures:
@@ -85,7 +87,8 @@ class SteadyTurn:
 
 
 def _median(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
+    """Return the median of the last `_PICTURES` known values."""
+    known = [value for value in values if value is not None][-_PICTURES:]
     return float(np.median(known)) if known else None
 
 

@@ -141,7 +141,6 @@ def test_the_end_of_a_stream_is_enough_even_while_heartbeats_come(bench, page):
         ("jog", {"steps_deg": {"pan": 16.0}}, "not possible"),
         ("light", {"on": "yes"}, "true or false"),
         ("light", {"frequency_hz": None}, "not a number"),
-        ("light", {"waveform": "saw"}, "no waveform"),
         ("camera", {"name": "bias_fo", "value": 1.5}, "whole number"),
         ("camera", {"name": "bias_fo", "value": 999}, "from -150 to 200"),
         ("hands", {"action": "lens turn", "deg": 5}, "real"),

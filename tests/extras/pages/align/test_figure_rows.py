@@ -52,9 +52,9 @@ def test_a_single_picture_over_a_limit_changes_no_verdict():
 
 def test_noise_and_a_blurred_tag_change_no_turn():
     steady = SteadyTurn()
-    for number in range(40):
+    for number in range(60):
         tag = TurnFigures(of="tag", pan=3.0 + 0.2 * (-1) ** number, tilt=-1.0, roll_deg=8.0)
-        seen = TurnFigures(of="square", pan=5.0, tilt=2.0) if number % 3 == 2 else tag
+        seen = TurnFigures(of="square", pan=5.0, tilt=2.0) if number % 8 else tag
         shown = steady.steady(seen, {"pan": 1.0})
         assert (shown.of, shown.tilt, shown.roll_deg) == ("tag", -1.0, 8.0)
         assert shown.pan == pytest.approx(3.0, abs=0.21)

@@ -240,8 +240,6 @@ def test_the_light_is_read_back_and_its_range_is_kept(opened):
         session.light(frequency_hz=20_000.0)
     with pytest.raises(ControlRefused, match="level_percent 0 is outside"):
         session.light(level_percent=0.0)
-    with pytest.raises(ControlRefused, match="no waveform"):
-        session.light(waveform="saw")
     assert devices.light.calls == before
     assert session.light(on=False)["on"] is False
 
