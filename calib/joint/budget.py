@@ -26,6 +26,7 @@ _ROWS = (
     Row(names.STARS, "A", "residuals of the stars"),
     Row(names.READINGS, "B", "station: reading_sigma_deg"),
     Row(names.PUPILS, "A", "visible discs"),
+    Row(names.UNSTEADY, "A", "the focal lengths of the poses"),
     Row(names.AMPLITUDES, "A", "the sizes of these errors are known only so well"),
     Row(names.PRIORS, "B", "square pixels, and limits of the unknowns"),
     Row(names.GIMBAL_AXES, "B", "expected sizes"),
@@ -35,6 +36,8 @@ _ROWS = (
 def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     """Return by group the (p,) variances of quantities with (p, S) gradients; they add up to those of the posterior."""
     parts: dict[str, Array] = {}
+    if posterior.reach:
+        _add_to(parts, {names.UNSTEADY: (gradients @ posterior.unsteady) ** 2 / 3.0})
     means, middle, end = posterior.means @ gradients.T, posterior.mean @ gradients.T, 0
     members = [(posterior, posterior.share, gradients, "")]
     for other in posterior.others:

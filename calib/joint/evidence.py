@@ -6,6 +6,7 @@ Only with the same weights can two explanations be compared: where stars fit bad
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from calib.joint.curvature import best_amplitudes
 from calib.joint.doubts import LARGEST_LOG, prior_odds, share_of_stars
@@ -17,6 +18,11 @@ from calib.joint.solve import Optimum
 
 #: Largest number of steps to the best amplitudes of an optimum whose stars have the weights of another.
 _STEPS = 20
+
+
+def at_best(optimum: Optimum) -> Optimum:
+    """Return an optimum at its best amplitudes, which a long search does not look for at its end."""
+    return replace(optimum, solution=best_amplitudes(optimum.solution, _STEPS))
 
 
 def weighed_as(there: Optimum, than: Optimum) -> Marginal:

@@ -81,6 +81,7 @@ class Posterior:
     largest: Node  # The mode with the largest share
     others: tuple[Other, ...] = ()
     denied: Innovation | None = None  # A statement that is not in the equations: it is probably wrong
+    reach: float = 0.0  # How far focal lengths of the poses are from the stated ones, as a share
     better_lens: str = (
         ""  # The coefficients of the other family of lenses, if it explains the views far better
     )
@@ -144,10 +145,20 @@ class Posterior:
         """(S, S) covariance of the shared unknowns."""
         from_mean = self.means - self.mean
         within = sum(weight * own for weight, own in zip(self.weights, self.covariances, strict=True))
-        return np.asarray(within + (self.weights[:, None] * from_mean).T @ from_mean)
+        covariance = within + (self.weights[:, None] * from_mean).T @ from_mean
+        return np.asarray(covariance + np.outer(self.unsteady, self.unsteady) / 3.0)
+
+    @cached_property
+    def unsteady(self) -> Array:
+        """(S,) how far the shared unknowns of a pose may be from the stated ones, all together; even up to there."""
+        focal = np.isin(self.optimum.marginal.problem.bench.layout.names, ("fx", "fy"))
+        return np.asarray(np.where(focal, self.reach * self.mean, 0.0))
 
     def expanded(self, row: Array) -> float:
-        """Return the half width of the interval that covers 95.45 % of the function with the (S,) gradient row."""
+        """Return the half width of the interval that covers 95.45 % of the function with the (S,) gradient row.
+
+        It reaches as far beyond as the focal lengths of the poses do.
+        """
         at = np.flatnonzero(row)
         offsets = (self.means[:, at] - self.mean[at]) @ row[at]
         sigmas = np.sqrt([row[at] @ own[at[:, None], at] @ row[at] for own in self.covariances])
@@ -159,7 +170,7 @@ class Posterior:
                 axis=0
             )
             low, high = (low, half) if float(self.weights @ inside) > COVERAGE else (half, high)
-        return 0.5 * (low + high)
+        return 0.5 * (low + high) + abs(float(row @ self.unsteady))
 
     def share_of(self, fault: tuple[str, str]) -> float:
         """Return the probability of a fault of a statement, or of its other meaning."""

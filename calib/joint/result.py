@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from calib.joint.posterior import Posterior
 from calib.joint.reported import as_seen, without_r8
 from calib.joint.solve import moved
 from calib.joint.summary import summarised
+from calib.joint.unsteady_focus import unsteady_focus
 from calib.joint.words import notes, require_determined
 from calib.joint.wrong_views import find_other_origins
 from calib.model.collimator import Collimator
@@ -49,31 +51,57 @@ def calibrate_jointly(
 ) -> Calibration:
     """Return the result; wrong stars take no part, nor do readings of the gimbal that contradict the stars."""
     begin()
-    used, stated = used_stars(views, options.guard_band, wrong), options
-    kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
-    posterior = posterior_of(kept, options)
-    shifted = shifted_ids(posterior.optimum, kept, options)
-    gimbal = _gimbal(posterior, parameters := _parameters(posterior), options)
-    doubted = posterior
-    if gimbal is not None and gimbal.entered:
-        doubted = with_doubted_bound(posterior, kept, options, shifted)
-    if doubted is not posterior:
-        posterior = doubted
-        shifted = shifted_ids(posterior.optimum, kept, options)
-        gimbal = _gimbal(posterior, parameters := _parameters(posterior), options)
-    if gimbal is not None and not gimbal.entered:
-        options = replace(options, gimbal=None)
-        posterior = posterior_of(kept, options)
-        parameters = _parameters(posterior)
-        shifted = shifted if shifted.words else shifted_ids(posterior.optimum, kept, options)
-    require_determined(posterior, kept, parameters, options, shifted.words)
+    used = used_stars(views, options.guard_band, wrong)
+    kept = _kept(views, used)
+    adjusted = _adjusted(kept, options)
+    focus = None if adjusted.doubt else unsteady_focus(adjusted.posterior)
+    if focus is not None and focus.is_sure:
+        views = focus.at_middle(views, adjusted.posterior.mean[2:4])
+        kept = _kept(views, used)
+        adjusted = _adjusted(kept, options)
+    posterior, gimbal, entered, doubt = adjusted
+    parameters = _parameters(posterior)
+    require_determined(posterior, kept, parameters, entered, doubt)
+    posterior = replace(posterior, reach=focus.reach if focus else 0.0)
     result = _calibration(posterior, views, used, parameters, gimbal)
     from calib.joint.causes import find_causes  # here: it brings scipy, which a forecast does not need
 
-    causes = () if shifted.words else find_causes(result, posterior, kept, stated)
+    causes = () if doubt else find_causes(result, posterior, focus.as_cause(kept) if focus else None, options)
     result = replace(result, causes=causes)
-    other = "" if shifted.words else find_other_origins(posterior.optimum, kept)
-    return replace(result, notes=(*filter(None, (shifted.words, other)), *notes(result, posterior)))
+    other = "" if doubt else find_other_origins(posterior.optimum, kept)
+    return replace(result, notes=(*filter(None, (doubt, other)), *notes(result, posterior)))
+
+
+def _kept(views: Sequence[View], used: Sequence[NDArray[np.bool_]]) -> list[View]:
+    """Return views with the stars that are used."""
+    return [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
+
+
+class _Adjusted(NamedTuple):
+    """The posterior of views."""
+
+    posterior: Posterior
+    gimbal: GimbalEstimate | None
+    options: CalibrationOptions  # Without readings that did not enter
+    doubt: str  # Which views have shifted ids
+
+
+def _adjusted(views: Sequence[View], options: CalibrationOptions) -> _Adjusted:
+    """Return the posterior of views; a bound of the parallax, and then the readings, have to agree with the stars."""
+    posterior = posterior_of(views, options)
+    shifted = shifted_ids(posterior.optimum, views, options)
+    gimbal = _gimbal(posterior, options)
+    if gimbal is not None and gimbal.entered:
+        doubted = with_doubted_bound(posterior, views, options, shifted)
+        if doubted is not posterior:
+            posterior = doubted
+            shifted = shifted_ids(posterior.optimum, views, options)
+            gimbal = _gimbal(posterior, options)
+    if gimbal is not None and not gimbal.entered:
+        options = replace(options, gimbal=None)
+        posterior = posterior_of(views, options)
+        shifted = shifted if shifted.words else shifted_ids(posterior.optimum, views, options)
+    return _Adjusted(posterior, gimbal, options, shifted.words)
 
 
 def _parameters(posterior: Posterior) -> AdjustmentParameters:
@@ -233,13 +261,14 @@ def _glass(posterior: Posterior, views: Sequence[View]) -> Passport:
     )
 
 
-def _gimbal(
-    posterior: Posterior, parameters: AdjustmentParameters, options: CalibrationOptions
-) -> GimbalEstimate | None:
+def _gimbal(posterior: Posterior, options: CalibrationOptions) -> GimbalEstimate | None:
     """Return the gimbal's parameters and how its readings agree; None without readings."""
     marginal = posterior.optimum.marginal
     bench = marginal.problem.bench
-    if bench.readings is None or parameters.gimbal is None or options.gimbal is None:
+    if bench.readings is None or options.gimbal is None:
+        return None
+    parameters = _parameters(posterior)
+    if parameters.gimbal is None:
         return None
     names, at = bench.gimbal, bench.gimbal_places
     plain = [name in SCALES for name in names]

@@ -20,7 +20,7 @@ from calib.errors import CalibrationError, NotConverged
 from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.effect import Places
-from calib.joint.evidence import value_as_weighed
+from calib.joint.evidence import at_best, value_as_weighed
 from calib.joint.hypotheses import SHIFTED_IDS
 from calib.joint.solve import Optimum, search
 from calib.model.likelihood_ratio import DECISIVE, needed
@@ -69,7 +69,7 @@ def _promised(optimum: Optimum, places: Places, shifts: Array) -> float:
     basis = np.zeros((len(shifts), optimum.marginal.equations.of_views.shape[1]))
     basis[:, places] = shifts
     there = displaced(optimum, basis).solve(optimum.eta)
-    return _ended(optimum).solution.value - best_amplitudes(there, _STEPS).value
+    return at_best(optimum).solution.value - best_amplitudes(there, _STEPS).value
 
 
 @dataclass(frozen=True)
@@ -95,17 +95,12 @@ def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Opti
         pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(stars), 1))))
         bench = replace(bench, pupils=pupils.shown)
     start = bench.aligned(near.state, first.marginal.equations.weights)
-    return _ended(search(replace(problem, bench=bench, pupils=pupils), start, rounds))
-
-
-def _ended(optimum: Optimum) -> Optimum:
-    """Return an optimum with the best amplitudes, which a long search does not look for at its end."""
-    return replace(optimum, solution=best_amplitudes(optimum.solution, _STEPS))
+    return at_best(search(replace(problem, bench=bench, pupils=pupils), start, rounds))
 
 
 def _gain(first: Optimum, there: Optimum) -> float:
     """Return 2 log of the likelihood ratio of an optimum to the first one."""
-    return _ended(first).solution.value - value_as_weighed(there, first)
+    return at_best(first).solution.value - value_as_weighed(there, first)
 
 
 def find_shifted_ids(
@@ -218,11 +213,11 @@ def _gain_again(
         replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
     ]
     try:
-        there = _ended(again(moved))
+        there = at_best(again(moved))
         unmoved = _moved(optimum, there, rounds, np.zeros_like(shifts_mm))
     except CalibrationError:
         return 0.0
-    return min(_ended(optimum).solution.value, unmoved.solution.value) - there.solution.value
+    return min(at_best(optimum).solution.value, unmoved.solution.value) - there.solution.value
 
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:

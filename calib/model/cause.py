@@ -29,6 +29,7 @@ FOCUSED, FOCUS_CREEPS, FOCUS_PLAYS = (
     "focal length drifts",
     "focal length of each pose",
 )
+UNCHANGED = "focal length that does not change"
 SCALED = "target of another scale"
 #: Statements of the station (`calib.joint.knowledge`) that stand beside a target of another scale.
 CERTIFICATE, PARALLAX = "certificate of the collimator", "pupil and defocus"
@@ -106,7 +107,9 @@ class Words:
 
 
 _ALL = "record all poses again."
-_NO_SINGLE = "No single focal length holds, and U spans what was seen"
+_SPANNED = "U spans what was seen"
+_NO_SINGLE = "No single focal length holds: lock the focus ring"
+_FIRST_AGAIN = "repeat the first pose at the end"
 _WORDS: Mapping[str, Words] = {
     TURNED: Words(
         "the camera turned in its mount",
@@ -195,22 +198,24 @@ _WORDS: Mapping[str, Words] = {
     UNITS: Words("all axes read in another unit, as gon", "read what unit the stage states"),
     FOCUSED: Words(
         "the focus ring was touched between two poses",
-        "repeat the first pose",
-        "The focal length is {size} {longer} after the pose '{before}': the focus ring was probably touched there",
-        f"Lock the ring, and {_ALL}",
+        _FIRST_AGAIN,
+        "The focal length is {size} {longer} after the pose '{before}': the focus ring was probably touched there. "
+        f"{_SPANNED}",
+        f"{_NO_SINGLE}, and {_ALL}",
     ),
     FOCUS_CREEPS: Words(
         "the focal length drifts",
-        "repeat the first pose at the end",
-        f"The focal length drifts: it becomes {{size}} {{longer}} from the first to the last pose. {_NO_SINGLE}",
-        f"Lock the focus ring, let the lens warm up, and {_ALL}",
+        _FIRST_AGAIN,
+        f"The focal length drifts: it becomes {{size}} {{longer}} from the first to the last pose. {_SPANNED}",
+        f"{_NO_SINGLE}, let the lens warm up, and {_ALL}",
     ),
     FOCUS_PLAYS: Words(
         "the lens has play",
         "repeat one pose after turning away",
-        f"Each pose has its own focal length: they span {{size}}. {_NO_SINGLE}",
-        f"Lock the focus ring, look for play of the lens, and {_ALL}",
+        f"Each pose has its own focal length: they span {{size}}. {_SPANNED}",
+        f"{_NO_SINGLE}, look for play of the lens, and {_ALL}",
     ),
+    UNCHANGED: Words("nothing changed", _FIRST_AGAIN),
     SCALED: Words(
         "the target has another scale",
         "check pitch and target",

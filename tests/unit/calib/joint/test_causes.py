@@ -12,7 +12,6 @@ from tests.benchmarks.worlds.mistakes import MISTAKES, mistaken
     ("name", "words"),
     [
         ("camera knocked by 0.3 degrees", "The camera turned in its mount between the poses"),
-        ("focus ring turned by 3 degrees", "The focal length is 0.1"),
         ("pitch 4.2 instead of 4.0139 mm", "the pitch of the target is probably 0.95"),
         # These two are told in test_gimbal_readings.py too, of benches that take less time.
         pytest.param(

@@ -437,5 +437,5 @@ def test_what_a_station_states_of_the_pupil_hardly_adds_to_the_uncertainty_of_th
 def test_two_statements_that_fail_at_once_are_both_named():
     """The focal length drifts; the scale of tilt alone would explain most of it, with cy 38 px wrong at U 5 px."""
     line = attacked("radius and defocus drift", 7)
-    assert any("steady focal length" in note for note in line["notes"])
+    assert any("focal length drifts" in note for note in line["notes"])
     assert abs(line["error"]["cy"]) < line["U"]["cy"]

@@ -1,0 +1,200 @@
+"""A focal length that changes while the poses are recorded: a step, a drift, or another one at each pose.
+
+No single focal length holds then. The views are brought to the middle of those that were there, and U spans them all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.joint.added_columns import AddedColumns, displaced
+from calib.joint.effects.camera import DRIFT
+from calib.joint.evidence import at_best, log_evidence
+from calib.joint.hypotheses import FOCUS_CHANGE
+from calib.joint.knowledge import DOUBTED, STEADY
+from calib.joint.modes import modes_of
+from calib.joint.posterior import Posterior
+from calib.joint.solve import Optimum
+from calib.model import cause as kinds
+from calib.model.cause import LARGEST_EVIDENCE, MOST_BESIDE, Cause
+from calib.model.likelihood_ratio import ALONE
+from calib.view import View
+
+#: Prior 1 sigma of a change of the focal length between poses, as a share: 2 degrees of an ordinary ring. Smaller ones
+#: than the second number may come from 3 K of aluminium.
+_CHANGE, _LEAST_CHANGE = 1e-3, 1e-4
+#: A change is adjusted if it promises so much of 2 log of the likelihood at the amplitudes found, though these have
+#: grown to take it up: without one, 5 % of places do.
+#: Steps of .02 to .2 % on drawn benches that were told promised 5 or more.
+_PROMISED = 4.0
+#: So many of the most promising steps are adjusted, each change with so many improvements of its sizes.
+_TRIED, _IMPROVED = 2, 3
+#: 2 log of the odds from which on a change is told, as the doubt of a statement is.
+_POSSIBLE = 2.0 * math.log(DOUBTED / (1.0 - DOUBTED))
+
+
+@dataclass(frozen=True)
+class UnsteadyFocus:
+    """Focal lengths of m views that differ."""
+
+    kind: str
+    log_f: Array  # (m,) logarithms of their shares
+    sigma: float  # Of their span
+    worth: float  # 2 log of its odds
+    first: int = 0  # The first view after a step
+    evidence: float = 0.0  # The worth less that of a steady focal length
+    beside: tuple[str, ...] = ()  # Kinds that are not much less probable
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether a steady focal length is out of the question."""
+        return kinds.UNCHANGED not in self.beside
+
+    @property
+    def reach(self) -> float:
+        """How far the farthest may be from the stated one, as a share: that is the middle if the change is sure."""
+        stated = self._middle if self.is_sure else self.log_f.mean()
+        return float(np.abs(self.log_f - stated).max()) + self.sigma
+
+    @property
+    def _middle(self) -> float:
+        return 0.5 * float(self.log_f.max() + self.log_f.min())
+
+    def at_middle(self, views: Sequence[View], centre: Array) -> list[View]:
+        """Return the views as the middle focal length shows them; ``centre`` is the principal point, px."""
+        return [
+            replace(view, points_px=centre + math.exp(self._middle - own) * (view.points_px - centre))
+            for view, own in zip(views, self.log_f.tolist(), strict=True)
+        ]
+
+    def as_cause(self, views: Sequence[View]) -> Cause:
+        """Return the cause: the size of a step or drift has a sign; poses that differ span theirs."""
+        signed = self.kind != kinds.FOCUS_PLAYS
+        value = float(self.log_f[-1] - self.log_f[0] if signed else np.ptp(self.log_f))
+        cause = Cause(
+            self.kind,
+            min(self.evidence, LARGEST_EVIDENCE),
+            100.0 * value,
+            200.0 * self.sigma,
+            "%",
+            beside=self.beside,
+            explains=(STEADY,),
+        )
+        if not self.first:
+            return cause
+        return replace(cause, before=views[self.first - 1].name, pose=views[self.first].name)
+
+
+def unsteady_focus(posterior: Posterior) -> UnsteadyFocus | None:
+    """Return how the focal length changes, or may change; None if it is steady.
+
+    A drift is an effect of the adjustment; another change displaces the focal lengths in the bases of the views.
+    """
+    if posterior.optimum.marginal.problem.bench.n_poses < 3:
+        return None
+    drifts = posterior.faults.get(STEADY, 0.0)
+    changes = [_drift(posterior, drifts), *_others(posterior.optimum)]
+    best, steady = max(changes, key=lambda change: change.worth), _two_log(1.0 - drifts)
+    if best.worth - steady < _POSSIBLE or np.ptp(best.log_f) < _LEAST_CHANGE:
+        return None
+    worths = {kinds.UNCHANGED: steady} | {change.kind: change.worth for change in changes}
+    beside = [kind for kind, worth in worths.items() if worth > best.worth - ALONE and kind != best.kind]
+    return replace(best, evidence=best.worth - steady, beside=tuple(beside[:MOST_BESIDE]))
+
+
+def _two_log(probability: float) -> float:
+    return 2.0 * math.log(max(probability, 1e-30))
+
+
+def _drift(posterior: Posterior, probability: float) -> UnsteadyFocus:
+    """Return the drift of a posterior, over the poses in their order."""
+    bench = posterior.optimum.marginal.problem.bench
+    at = bench.layout.index[DRIFT]
+    shares = bench.poses / (bench.n_poses - 1)
+    sigma = math.sqrt(posterior.covariance[at, at])
+    return UnsteadyFocus(kinds.FOCUS_CREEPS, posterior.mean[at] * shares, sigma, _two_log(probability))
+
+
+@dataclass(frozen=True)
+class _Change:
+    """How the logarithms of the focal lengths of m views follow K sizes."""
+
+    kind: str
+    shares: Array  # (m, K)
+    odds: float  # Beforehand
+    first: int = 0
+
+    def promised(self, views: AddedColumns) -> float:
+        """Return by how much 2 log of the evidence grows, all linear; that of a single size without its width."""
+        unit = np.eye(self.shares.shape[1])
+        gradient = self.shares.T @ views.gradient
+        information = self.shares.T @ views.information @ self.shares
+        gain = float(gradient @ np.linalg.solve(information + unit / _CHANGE**2, gradient))
+        return gain - (np.linalg.slogdet(unit + _CHANGE**2 * information)[1] if len(unit) > 1 else 0.0)
+
+
+@dataclass(frozen=True)
+class _Changed:
+    """An optimum with a change."""
+
+    change: _Change
+    sizes: Array  # (K,)
+    information: Array  # (K, K)
+    optimum: Optimum
+
+    @property
+    def cost(self) -> float:
+        """What lowers 2 log of the evidence: odds, the width of the sizes' prior, and how far out they lie."""
+        far = (self.sizes / _CHANGE) ** 2
+        width = np.linalg.slogdet(np.eye(len(far)) + _CHANGE**2 * self.information)[1]
+        return float(width + (far / (1.0 + far)).sum()) - 2.0 * math.log(self.change.odds)
+
+    def weighed(self, before: float) -> UnsteadyFocus:
+        """Return the change with its worth; ``before`` is the logarithm of the evidence without it."""
+        there, log_f = modes_of(self.optimum), self.change.shares @ self.sizes
+        worth = 2.0 * float(log_evidence(there, there.optimum) - before) - self.cost
+        span = self.change.shares[log_f.argmax()] - self.change.shares[log_f.argmin()]
+        covariance = np.linalg.inv(self.information + np.eye(len(span)) / _CHANGE**2)
+        sigma = math.sqrt(span @ covariance @ span)
+        return UnsteadyFocus(self.change.kind, log_f, sigma, worth, self.change.first)
+
+
+def _others(optimum: Optimum) -> list[UnsteadyFocus]:
+    """Return the likeliest steps between two views, and another focal length at each pose, if they promise enough."""
+    bench = optimum.marginal.problem.bench
+    m, at = len(bench.poses), bench.layout.places(("fx", "fy"))
+    columns = np.zeros((m, optimum.marginal.equations.of_views.shape[1], m))
+    columns[np.arange(m)[:, None], at, np.arange(m)[:, None]] = optimum.state.shared[at]
+    gains, odds = AddedColumns.of(optimum, columns), FOCUS_CHANGE.odds
+    steps = [
+        _Change(kinds.FOCUSED, np.where(np.arange(m) >= k, 1.0, 0.0)[:, None], odds / (m - 1), k)
+        for k in range(1, m)
+    ]
+    steps.sort(key=lambda change: -change.promised(gains))
+    plays = _Change(kinds.FOCUS_PLAYS, np.eye(bench.n_poses)[bench.poses], odds)
+    tried = [change for change in (*steps[:_TRIED], plays) if change.promised(gains) > _PROMISED]
+    changed = [_changed(optimum, change, columns) for change in tried]
+    first = at_best(optimum) if changed else optimum
+    likely = [
+        there
+        for there in changed
+        if first.solution.value - there.optimum.solution.value > there.cost + _POSSIBLE
+    ]
+    before = log_evidence(modes_of(first), first) if likely else 0.0
+    return [there.weighed(before) for there in likely]
+
+
+def _changed(optimum: Optimum, change: _Change, columns: Array) -> _Changed:
+    """Return the best sizes of a change, by (m, B, m) displacements of each view."""
+    along = columns @ change.shares
+    sizes, there = np.zeros(change.shares.shape[1]), optimum
+    for _ in range(_IMPROVED):
+        added = AddedColumns.of(there, along)
+        sizes = sizes + np.linalg.solve(added.information + np.eye(len(sizes)) / _CHANGE**2, added.gradient)
+        there = at_best(replace(optimum, solution=displaced(optimum, along @ sizes).solve(there.eta)))
+    return _Changed(change, sizes, added.information, there)
