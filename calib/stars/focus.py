@@ -58,8 +58,6 @@ def edge_widths_px(
     local_map: LocalMap,
     target: StarTarget,
     groups: Sequence[Ints],
-    *,
-    start_px: float | None = None,
 ) -> list[float | None]:
     """Measure the standard deviation of the edges' blur, px, of groups of stars, as `likelihood.edge_width_px`.
 
@@ -69,9 +67,7 @@ def edge_widths_px(
     # A pitch of three digits: the printed star, whose edges are radii, is then drawn once for many pictures.
     pitch = float(f"{local_map.pitch_px:.3g}") if len(centres) else None
     return [
-        edge_width_px(
-            levels, centres[group], selected(local_map, group), target, pitch_px=pitch, start_px=start_px
-        )
+        edge_width_px(levels, centres[group], selected(local_map, group), target, pitch_px=pitch)
         if len(group) >= MIN_STARS_FOR_WIDTH
         else None
         for group in groups
