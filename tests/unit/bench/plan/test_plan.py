@@ -368,12 +368,8 @@ steps:
     ],
 )  # fmt: skip
 def test_a_limit_of_a_result_that_the_run_does_not_estimate_is_refused(result, model, estimated):
-    messages = faults(SOLVED % (result, model, "  - report\n"))
-    assert (
-        [line.rpartition(": ")[0] for line in messages] == []
-        if estimated
-        else ["s.yaml:3:19: limits[0].result"]
-    )
+    places = [line.rpartition(": ")[0] for line in faults(SOLVED % (result, model, "  - report\n"))]
+    assert places == ([] if estimated else ["s.yaml:3:19: limits[0].result"])
 
 
 def test_a_limit_of_the_station_counts_too_and_needs_a_result():
