@@ -121,7 +121,7 @@ class LiveLoop:
         self._tasks: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._closing = False
         self._lit: tuple[bool | None, float | None] = (None, None)
-        self._curve = FocusCurve()
+        self.curve = FocusCurve()
         self._verdicts = SteadyVerdicts()
         self.latest = LivePicture()
         """The newest picture."""
@@ -147,7 +147,7 @@ class LiveLoop:
 
     def forget(self) -> None:
         """Begin the curve of the focus anew."""
-        self._curve = FocusCurve()
+        self.curve = FocusCurve()
 
     def close(self) -> bool:
         """End the recording, and remove the temporary folder; True if the camera records no more."""
@@ -213,7 +213,7 @@ class LiveLoop:
 
     def _follow_focus(self, figures: LiveFigures, setting: LiveSetting) -> FocusCurve:
         """Add the edge width of a picture to the curve; light and pose begin the best anew."""
-        curve, lit = self._curve, (setting.light_on, setting.level_percent)
+        curve, lit = self.curve, (setting.light_on, setting.level_percent)
         if figures.moving or lit != self._lit:
             self._lit = lit
             curve.begin_best()

@@ -37,7 +37,7 @@ _WATCH_S = 0.05  # Below what a person notices as a delay
 _LOOK_MOVING_S = 0.15  # Often enough to follow a move by eye
 _LOOK_RESTING_S = 1.0  # Nothing changes by itself; somebody may turn the stage by hand
 _LOOK_THOROUGHLY_S = 4.0  # Faults and limits take more queries
-_OLD_S = 10.0  # Age of a picture that shows nothing any more: the longest slice, measured on a busy computer
+OLD_S = 10.0  # Age of a picture that shows nothing any more: the longest slice, measured on a busy computer
 _LOOK_LIGHT_S = 2.0  # A generator's front panel may be touched; each query takes its line
 
 
@@ -178,7 +178,7 @@ class Session:
     def _rows(self, bench: Bench) -> list[FigureRow]:
         """Return what the devices do, each judged; without a new picture, the camera is not ready."""
         camera, latest = bench.camera.row(), bench.loop.latest
-        if bench.loop.failure is not None or time.monotonic() - latest.figures.time_s > _OLD_S:
+        if bench.loop.failure is not None or time.monotonic() - latest.figures.time_s > OLD_S:
             camera = camera._replace(value="no new picture", good=False)
         return [bench.stage.row(), bench.light.row(), camera]
 

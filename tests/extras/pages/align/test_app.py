@@ -167,6 +167,6 @@ def test_a_request_without_page_foreign_host_or_origin_is_refused(bench):
 
 
 def test_clearing_the_curve_reaches_the_live_picture(bench, page):
-    curve = bench[1].bench.loop._curve
+    curve = bench[1].bench.loop.curve
     assert page.do("forget").status_code == 200
-    assert bench[1].bench.loop._curve is not curve
+    assert bench[1].bench.loop.curve is not curve

@@ -211,7 +211,7 @@ def test_ready_names_what_is_not_ready(opened):
 def test_a_picture_that_has_grown_old_is_not_ready(opened, monkeypatch):
     session, _ = opened
     wait_until(lambda: session.picture().number >= 1)
-    monkeypatch.setattr(session_module, "_OLD_S", -1.0)
+    monkeypatch.setattr(session_module, "OLD_S", -1.0)
     assert session.state()["rows"]["Camera"]["value"] == "no new picture"
 
 
