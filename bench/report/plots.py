@@ -47,9 +47,9 @@ from calib.uncertainty.projection_uncertainty import (
 Array = NDArray[np.float64]
 
 _CLOUD_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
-#: The adjustment halves the weight of a star at so many sigma of its residual (`calib.joint.equations`).
-_FULL_WEIGHT = 3.5
-_LIGHT = "beyond 3.5 sigma: half the weight, or less"
+#: The joint adjustment halves the weight of a star at so many sigma of its residual (`calib.joint.equations`).
+_FAR_SIGMAS = 3.5
+_FAR = "beyond 3.5 sigma"  # a method of comparison may give all stars one weight
 _REGIONS = (4, 3)  # Columns and rows, near the shape of sensors; each has stars enough for a mean
 _WIDE_ANGLE_DEG = 25.0  # From here a pixel at the rim is a fifth less angle than in the middle: cos^2
 
@@ -61,8 +61,8 @@ def residual_vectors(
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
     about = f"{len(lengths)} {words.points}; residuals of {np.percentile(lengths, 95):.2g} px or less for 95 % of them."
-    longest = _FULL_WEIGHT * float(np.median(lengths)) / RAYLEIGH_MEDIAN
-    keys = [*_pose_keys(views), *([Key(_LIGHT, MUTED)] if (lengths > longest).any() else [])]
+    longest = _FAR_SIGMAS * float(np.median(lengths)) / RAYLEIGH_MEDIAN
+    keys = [*_pose_keys(views), *([Key(_FAR, MUTED)] if (lengths > longest).any() else [])]
     axes = sensor_axes(
         image_size, (), "vectors", "Residual vectors on the sensor", about, width=WIDE, keys=keys
     )

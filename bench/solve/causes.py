@@ -71,7 +71,7 @@ def causes_of_run(job: Job, history: History, calibration: Calibration) -> list[
 
 
 def beside_last_run(job: Job, history: History, calibration: Calibration, last: Results) -> list[Cause]:
-    """Return the same with what the last run adds. That has its name: it is told, but no part of results."""
+    """Return these causes, and those that only the last run shows: their ``before`` names it, and results omit them."""
     alone = causes_of_run(job, history, calibration)
     more = [*_other_lens(job, calibration, last), *_against_last(_seen_in(history, calibration), last)]
     known = {cause.kind for cause in alone}

@@ -149,16 +149,15 @@ class HandEyeCheck:
                 )
 
     def _scatter(self) -> Iterator[Cause]:
-        """Yield that readings or rotations scatter, if the views do not contradict each other for themselves."""
+        """Yield that readings or rotations scatter; nothing if the views disagree also without the readings."""
         if self.excess_arcsec <= 0.0 or self.birge_ratio > _DISAGREE:
             return
-        every = dict(zip((kinds.SCATTERED, kinds.LOOSE, ""), self.scatters.tolist(), strict=True))
-        likely = sorted(every, key=lambda kind: -every[kind])
-        kind = likely[0]
+        evidence = dict(zip((kinds.SCATTERED, kinds.LOOSE, ""), self.scatters.tolist(), strict=True))
+        kind, *others = sorted(evidence, key=lambda name: -evidence[name])
         if kind:
-            beside = tuple(each for each in likely[1:] if each and every[each] > every[kind] - ALONE)
+            beside = tuple(name for name in others if name and evidence[name] > evidence[kind] - ALONE)
             size = self.excess_arcsec / 3600.0
-            yield Cause(kind, min(every[kind], LARGEST_EVIDENCE), size, unit="degrees", beside=beside)
+            yield Cause(kind, min(evidence[kind], LARGEST_EVIDENCE), size, unit="degrees", beside=beside)
 
     def _ratios(self) -> str:
         """Return what each axis and the pairs of poses show, in words."""

@@ -132,13 +132,13 @@ _WORDS: Mapping[str, Words] = {
     CREEPS: Words(
         "the camera creeps in its mount",
         "leave the stage alone for some minutes and see whether the stars move",
-        "The camera creeps in its mount: from the first to the last pose it turned by {size}",
+        "The camera creeps in its mount. It turned by {size} from the first pose to the last",
         f"Fasten the camera, let it warm up, and {_ALL}",
     ),
     SHIFTS: Words(
         "the collimator creeps",
         "leave the stage alone for some minutes and see whether the stars move",
-        "The collimator or its target creeps: from the first to the last pose it turned by {size}",
+        "The collimator, or its target, creeps. It turned by {size} from the first pose to the last",
         f"Fasten the collimator, and {_ALL}",
     ),
     LOOSE: Words(

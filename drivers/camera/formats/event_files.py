@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -81,16 +81,19 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
     if start.startswith(_HDF5):
         source = opened_hdf5(opened.enter_context(h5py.File(path, "r")), choices)
         return source or opened.enter_context(source_of_library(path, "hdf5", choices))
-    if not start.startswith(_RAW):
-        for brought in _brought_formats():
-            if brought.recognises(path, start):
-                _require_no_unit(choices)
-                return opened.enter_context(brought.open_events(path, choices))
-    if not start:
-        read_start(path)  # refuses a folder
+    brought, unusable = ((), ()) if start.startswith(_RAW) else brought_formats()
+    for form in brought:
+        if form.recognises(path, start):
+            _require_no_unit(choices)
+            return opened.enter_context(form.open_events(path, choices))
     for kind, is_of_kind in _of_table(start).items():
         if is_of_kind:
             return opened.enter_context(source_of_library(path, kind, choices))
+    for entry, why in unusable:
+        what = f"The reader {entry.name!r} of {entry.value}, which may know it, cannot be used: {why}."
+        raise NotARecording(what, remedy="Install its package again, or remove it.")
+    if not start:
+        read_start(path)  # refuses a folder
     _require_no_unit(choices)
     if prophesee_words.is_dat(start):
         return prophesee_words.from_dat(path, start, choices)
@@ -101,18 +104,15 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
 
 
 @functools.cache
-def _brought_formats() -> Sequence[Any]:
-    """Load the formats that packages declare, as `library_process.LibraryFormat` describes them."""
-    formats = []
+def brought_formats() -> tuple[Sequence[Any], Sequence[tuple[EntryPoint, str]]]:
+    """Load the formats that packages declare (`library_process.LibraryFormat`); those that cannot be used, with why."""
+    formats, unusable = list[Any](), list[tuple[EntryPoint, str]]()
     for entry in entry_points(group=GROUP):
         try:
             formats.append(entry.load())
-        except Exception as error:  # a package of others may raise anything
-            what = (
-                f"The reader {entry.name!r} of {entry.value} cannot be used: {type(error).__name__}: {error}."
-            )
-            raise NotARecording(what, remedy="Install its package again, or remove it.") from error
-    return formats
+        except Exception as error:  # noqa: BLE001 - a package of others may raise anything
+            unusable.append((entry, f"{type(error).__name__}: {error}"))
+    return formats, unusable
 
 
 def _of_table(start: bytes) -> dict[str, bool]:

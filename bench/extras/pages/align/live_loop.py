@@ -79,7 +79,7 @@ def _is_alive(process: int) -> bool:
 
 
 def slice_duration_s(setting: LiveSetting, *, moving: bool = False) -> float:
-    """Return the length of a slice, s: whole flicker periods while the light flickers."""
+    """Return how long a slice is, s. It holds whole periods of the flicker, if the light flickers."""
     if not setting.light_on or not setting.frequency_hz:
         return SHORT_S
     periods = MOVING_PERIODS if moving else max(PERIODS, round(SHORT_S * setting.frequency_hz))

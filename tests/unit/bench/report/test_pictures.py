@@ -63,4 +63,4 @@ def test_stars_that_have_lost_their_weight_are_grey(last_px, grey):
     svg = residual_vectors([view], SMALL)
     drawn = re.findall(r'<path d="((?:M[^"hL]*h0)+)"[^>]*class="[^"]*muted', svg)
     assert sum(path.count("h0") for path in drawn) == grey
-    assert ("half the weight" in svg) == bool(grey)
+    assert ("beyond 3.5 sigma" in svg) == bool(grey)

@@ -1,10 +1,13 @@
 """Events in files for analysis: out of a RAW file and back, the same events each time."""
 
+from importlib.metadata import EntryPoint
+
 import h5py
 import numpy as np
 import pytest
 from imported import import_events
 
+from drivers.camera.formats import event_files
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.formats.event_exports import CHUNK_EVENTS
 from drivers.camera.formats.hdf5_events import CD_TYPE
@@ -173,3 +176,31 @@ def test_a_group_where_the_events_belong_is_told(tmp_path):
         file.attrs["geometry"] = "1280x720"
     with pytest.raises(NotARecording, match="is a group"):
         import_events(path)
+
+
+@pytest.fixture
+def broken_reader(monkeypatch):
+    """A package of somebody declares a reader, and cannot be imported."""
+    entry = EntryPoint("theirs", "no_such_package:READER", event_files.GROUP)
+    monkeypatch.setattr(event_files, "entry_points", lambda **_: [entry])
+    event_files.brought_formats.cache_clear()
+    yield
+    event_files.brought_formats.cache_clear()
+
+
+@pytest.mark.usefixtures("broken_reader")
+def test_a_reader_that_cannot_be_used_stops_no_file_of_another_form(tmp_path):
+    recording = make(tmp_path, words(100))
+    convert(recording.path, tmp_path / "out.npz", "numpy")
+    with event_files.open_events(tmp_path / "out.npz") as source:
+        assert sum(len(events.t) for events, *_ in source.pieces()) == 100
+
+
+@pytest.mark.usefixtures("broken_reader")
+def test_a_reader_that_cannot_be_used_is_named_for_a_file_that_nothing_else_knows(tmp_path):
+    (tmp_path / "theirs.bin").write_bytes(bytes(range(1, 200)))
+    with (
+        pytest.raises(NotARecording, match=r"theirs.*no_such_package"),
+        event_files.open_events(tmp_path / "theirs.bin"),
+    ):
+        pass
