@@ -38,15 +38,14 @@ def calibrate(views: Iterable[View] | View, options: CalibrationOptions | None =
     Returns
     -------
     Calibration
-        Intrinsics, distortion, collimator and rotations, with their covariance.
+        Intrinsics, distortion, collimator and rotations, with their covariance. A view with fewer than 4 stars, or with
+        all on a line, is left out: a note says so, and nothing else of the result counts it.
 
     Raises
     ------
     InputMismatch
         If views contradict each other (image sizes, names, places on the target), are no views or show the target
         mirrored, or if ``spherical`` or ``planar`` is given a passport.
-    TooFewStars
-        If a view has fewer than 4 stars.
     DegenerateViews
         If the views do not constrain the camera; says why.
     NotConverged
@@ -64,11 +63,16 @@ def calibrate(views: Iterable[View] | View, options: CalibrationOptions | None =
             f"{len(options.gimbal.angles_deg)} readings of the gimbal, but {len(views)} views.",
             remedy="Give one reading for each view, in their order.",
         )
-    _check(views, 1 if options.passport and not options.passport.is_certificate else 2)
+    views = corrected_views(views, options.budget)
+    found = find_gross_stars(views)
+    seen = [at for at, stars in enumerate(found) if not stars.fault]
+    views, wrong = [views[at] for at in seen], [found[at] for at in seen]
+    named = [stars.sentence for stars in found]
+    _check(views, 1 if options.passport and not options.passport.is_certificate else 2, named)
     if options.passport:
         options = replace(options, passport=corrected_passport(options.passport, options.budget))
-    views = corrected_views(views, options.budget)
-    wrong = find_gross_stars(views)
+    if options.gimbal:
+        options = replace(options, gimbal=options.gimbal.part(seen))
     known_r = options.passport.values_by_name["r"] if options.passport else None
     right = without_gross_stars(views, wrong)
     doubts = check_views(right, known_r_mm=known_r)
@@ -80,7 +84,6 @@ def calibrate(views: Iterable[View] | View, options: CalibrationOptions | None =
         result = calibrate_jointly(views, options, wrong)
     doubt = check_image_size(right, result.camera, (result.sigma["cx"], result.sigma["cy"]))
     remarks = _remarks(options, result.camera)
-    named = [fault.sentence for fault in wrong]
     notes = filter(None, (*named, *doubts, *result.notes, doubt, *remarks))
     return replace(result, notes=tuple(notes), remarks=(*result.remarks, *remarks))
 
@@ -115,12 +118,13 @@ def _require_kinds(views: Sequence[object], options: object) -> None:
         )
 
 
-def _check(views: Sequence[View], fewest: int) -> None:
-    """Refuse views that do not belong together, or are too few."""
+def _check(views: Sequence[View], fewest: int, left_out: Sequence[str]) -> None:
+    """Refuse views that do not belong together, or are too few; ``left_out`` names stars and views."""
     if len(views) < fewest:
         or_passport = ", or give a collimator's passport" if len(views) == 1 else ""
+        few = f"{len(views)} view{'s' if len(views) != 1 else ''} given; at least {fewest} needed."
         raise DegenerateViews(
-            f"{len(views)} view{'s' if len(views) != 1 else ''} given; at least {fewest} needed.",
+            " ".join(filter(None, (few, *left_out))),
             remedy=f"Record the target from more angles{or_passport}.",
         )
     sizes = sorted({view.image_size for view in views})

@@ -32,6 +32,7 @@ from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration
 from calib.errors import CalibrationError, DegenerateViews
+from calib.model.homography import rough_homography
 from calib.target import StarTarget
 from calib.view import View
 from sequences.script import SolveStep
@@ -276,10 +277,13 @@ def read_views(
     skipped: list[str] = []
     for number, source in enumerate(sources, start=1):
         try:
-            views.append(source.read())
-            used.append(source)
+            view = source.read()
+            rough_homography(view)  # a view without one takes no part
         except CalibrationError as error:
             skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
+        else:
+            views.append(view)
+            used.append(source)
         progress(number, len(sources))
     if not views:
         loose = [source.path for source in sources if source.job is None and source.path.is_file()]

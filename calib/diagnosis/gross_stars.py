@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import Array, Bools
-from calib.errors import InputMismatch
+from calib.errors import DegenerateViews, InputMismatch, TooFewStars
 from calib.model.beam import inside_guard_band, visible_discs
 from calib.model.homography import (
     apply_homography,
@@ -40,10 +40,13 @@ class GrossStars:
         Array  # (K,) float64, px, distance of those that neighbours contradict from where they predict it
     )
     outside: int = 0  # How many of them lie outside of the image
+    fault: str = ""  # Why none of the view's stars can be used, a sentence
 
     @property
     def sentence(self) -> str:
         """Names the view, the number of stars and their distances; empty if there are none."""
+        if self.fault:
+            return f"View {self.view} was left out. {self.fault}"
         return " ".join(filter(None, (self._far, self._outside)))
 
     @property
@@ -73,14 +76,12 @@ def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
     """Find the gross errors of each view: stars whose point or id their neighbours on the target contradict.
 
     By `contradicts_neighbours`; `InputMismatch` names a view in which more than a fifth of the stars are wrong. So are
-    stars outside of the image, if they are few: many show that its size is wrong.
+    stars outside of the image, if they are few: many show that its size is wrong. All stars of a view are left out if
+    they are too few or lie on a line.
     """
     outside = [outside_image(view) for view in views]
     few = sum(map(np.count_nonzero, outside)) <= max(1.0, _FEW_OUTSIDE * sum(map(len, views)))
-    return tuple(
-        _with_outside(view, own) if few and own.any() else _gross_stars(view)
-        for view, own in zip(views, outside, strict=True)
-    )
+    return tuple(_left_out_of(view, few & own) for view, own in zip(views, outside, strict=True))
 
 
 def outside_image(view: View) -> Bools:
@@ -89,12 +90,15 @@ def outside_image(view: View) -> Bools:
     return np.asarray(((view.points_px < -OUTSIDE_PX) | (view.points_px > limit)).any(axis=1))
 
 
-def _with_outside(view: View, outside: Bools) -> GrossStars:
+def _left_out_of(view: View, outside: Bools) -> GrossStars:
     """Return the gross errors of the stars inside of the image, and those outside with them."""
-    inside = _gross_stars(view.part(~outside))
     wrong = outside.copy()
+    try:
+        inside = _gross_stars(view.part(~outside) if outside.any() else view)
+    except (TooFewStars, DegenerateViews) as error:
+        return GrossStars(view.name, np.ones_like(wrong), np.zeros(0), fault=error.what)
     wrong[~outside] = inside.wrong
-    return GrossStars(view.name, wrong, inside.distances_px, int(np.count_nonzero(outside)))
+    return replace(inside, wrong=wrong, outside=int(np.count_nonzero(outside)))
 
 
 def without_gross_stars(views: Sequence[View], gross: Sequence[GrossStars]) -> list[View]:

@@ -8,8 +8,8 @@ the beam when the camera turns, and the pattern moves with it. This module holds
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -107,6 +107,10 @@ class GimbalReadings:
                     f"Reading {number} has no {missing[0]}, but other readings have.",
                     remedy="Give each axis in all readings, or in none.",
                 )
+
+    def part(self, views: Iterable[int]) -> GimbalReadings:
+        """Return the readings of some of the views, by their places."""
+        return replace(self, angles_deg=tuple(self.angles_deg[at] for at in views))
 
     @property
     def angles(self) -> Array:

@@ -285,5 +285,4 @@ def _every_other(options: CalibrationOptions | None, begin: int) -> CalibrationO
     """Return the options for every other view: the gimbal's readings are those of these views."""
     if options is None or options.gimbal is None:
         return options
-    readings = replace(options.gimbal, angles_deg=options.gimbal.angles_deg[begin::2])
-    return replace(options, gimbal=readings)
+    return replace(options, gimbal=options.gimbal.part(range(begin, len(options.gimbal.angles_deg), 2)))

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.gross_stars import find_gross_stars, outside_image, without_gross_stars
 from calib.engine import calibrate
-from calib.errors import InputMismatch
+from calib.errors import DegenerateViews, InputMismatch
+from calib.model.gimbal_readings import AXES, GimbalReadings
 from tests.unit.calib.conftest import Bench
 
 
@@ -95,6 +96,24 @@ def test_a_view_of_random_ids_is_refused_by_name(seed):
     view = Bench().views(rng, 0.05)[1]
     with pytest.raises(InputMismatch, match="view pose-002"):
         find_gross_stars([replace(view, points_px=rng.permutation(view.points_px))])
+
+
+def test_views_that_show_no_plane_are_left_out_and_named():
+    views = Bench().views(np.random.default_rng(5), 0.05)
+    first = views[0]
+    few = replace(first.part(np.arange(len(first)) < 3), name="few")
+    line = replace(first.part(first.target_mm[:, 0] == first.target_mm[60, 0]), name="line")
+    angles = [
+        dict(zip(AXES, (*pose, 0.0)[:3], strict=True)) for pose in ((9.0, 9.0), *Bench().poses, (9.0, 9.0))
+    ]
+    readings = GimbalReadings(tuple(angles), 0.01, 1e-3)
+    result = calibrate([few, *views, line], CalibrationOptions(gimbal=readings))
+    expected = calibrate(views, CalibrationOptions(gimbal=readings.part((1, 2, 3))))
+    assert dict(result.values) == dict(expected.values)
+    notes = sorted(set(result.notes) - set(expected.notes))
+    assert ["few" in notes[0], "3 points" in notes[0], "line" in notes[1]] == [True] * 3
+    with pytest.raises(DegenerateViews, match=r"at least 2 needed.*View line"):
+        calibrate([line, first])
 
 
 def test_one_point_outside_of_the_image_is_left_out_and_named():
