@@ -15,7 +15,6 @@ from bench.extras.pages.align.live_image import SignalFigures
 from bench.stations.station import load_station
 from drivers.camera import RecordingFacts
 from simulators.pixels.biases import PixelSettings
-from simulators.pixels.evt3_writer import Evt3Writer
 from simulators.world.world import LightState
 from tests.support import live_slices
 from tests.support.live_slices import HEADER, bench, drive, seen, write_slice
@@ -115,30 +114,6 @@ def test_a_real_recording_without_a_flicker(light_on):
     assert off(figures, setting)["Sync edges"]
     assert figures.stars == ()
     assert image.any()
-
-
-def random_words(path, x, y, count=200_000, polarity=None):
-    """Write events at random times."""
-    random = np.random.default_rng(1)
-    t = np.sort(random.integers(0, 40_000, count))
-    p = (
-        random.integers(0, 2, count).astype(np.uint8)
-        if polarity is None
-        else np.full(count, polarity, np.uint8)
-    )
-    order = np.lexsort((x, p, y, t))
-    words = Evt3Writer().write(
-        t[order], x[order].astype(np.uint16), y[order].astype(np.uint16), p[order], until_us=40_001
-    )
-    path.write_bytes(HEADER + words.astype("<u2").tobytes())
-    return path
-
-
-def test_events_at_random_are_no_flicker(tmp_path):
-    random = np.random.default_rng(3)
-    x, y = random.integers(0, 1280, 200_000), random.integers(0, 720, 200_000)
-    _, figures = figures_of(random_words(tmp_path / "noise.raw", x, y), SETTING)
-    assert off(figures)["Stars"] == "0"
 
 
 def test_missing_sync_and_a_wrong_frequency(folder, tmp_path):

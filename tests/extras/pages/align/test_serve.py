@@ -14,8 +14,6 @@ from waiting import wait_until
 from bench.base.errors import ScriptError
 from bench.extras.pages.align import serve
 from bench.stations.station import SHIPPED_STATIONS
-from drivers.errors import CameraBusy
-from sequences.errors import DocumentFaults
 
 
 @pytest.fixture
@@ -104,17 +102,6 @@ def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(aligned, 
     assert "CHECK THE BENCH: stage: not confirmed" in capsys.readouterr().out
 
 
-def test_a_busy_camera_is_named_and_the_page_stays(aligned, capsys):
-    def opener(*_):
-        raise CameraBusy("another program holds it.", where="camera", remedy="Close that program.")
-
-    session, _ = fake_session(opener=opener)
-    assert aligned(session, lambda: session.state()["devices"]["state"] == "failed") == 0
-    out = capsys.readouterr().out
-    assert "camera: another program holds it. Close that program." in out
-    assert out.splitlines()[-1] == "No device was open."
-
-
 def test_the_page_answers_while_the_devices_open(aligned, monkeypatch):
     release, answers = threading.Event(), []
     session, _ = fake_session(opener=lambda *_: release.wait(5) and FakeDevices())
@@ -134,11 +121,4 @@ def test_a_station_with_a_scale_that_nobody_filled_in_is_refused(tmp_path):
     text = (SHIPPED_STATIONS / "simulated.yaml").read_text()
     path.write_text(text.replace("microsteps_per_deg: 6400", "microsteps_per_deg: ASK-THE-DATA-SHEET", 1))
     with pytest.raises(ScriptError, match="microsteps_per_deg"):
-        serve.make_session(str(path))
-
-
-def test_a_station_without_a_light_is_named_before_anything_opens(tmp_path):
-    path = tmp_path / "bench.yaml"
-    path.write_text("format: starbench/station/1\nname: A\n")
-    with pytest.raises(DocumentFaults, match="light"):
         serve.make_session(str(path))

@@ -75,11 +75,9 @@ def test_a_jog_moves_one_axis_and_steps_add_up(opened):
 def test_the_limit_of_an_axis_is_not_passed(opened):
     session, devices = opened
     devices.stage.at["tilt"] = 9.9
-    with pytest.raises(
-        ControlRefused, match=r"tilt is at 9.900 deg and its limit is 10 deg. Nothing was moved"
-    ) as e:
+    with pytest.raises(ControlRefused, match=r"tilt .* 9.900 deg .* 10 deg") as refused:
         session.bench.stage.move_by({"tilt": 0.5})
-    assert "at most 0.100 deg" in e.value.remedy
+    assert "at most 0.100 deg" in refused.value.remedy
     assert devices.stage.calls == []
     for step in (0.0, 6.0, float("nan")):
         with pytest.raises(ControlRefused, match="not possible"):
@@ -119,17 +117,6 @@ def test_a_stop_reaches_the_stage_at_once_and_drops_what_waits(opened):
     session.bench.stage.move_by({"pan": 0.1})
     _rest(session)
     assert devices.stage.at["pan"] < 3
-
-
-def test_a_stop_just_after_a_jog_leaves_nothing_moving(opened):
-    session, devices = opened
-    for _ in range(30):
-        session.bench.stage.move_by({"pan": 0.2 if devices.stage.at["pan"] < 5 else -5.0})
-        session.stop()
-        assert not session.bench.stage.moving
-        before = dict(devices.stage.at)
-        time.sleep(0.01)
-        assert devices.stage.at == before
 
 
 def test_a_move_that_begins_just_after_a_stop_is_stopped_too(opened):
@@ -176,17 +163,6 @@ def test_a_page_that_is_lost_stops_its_motion_within_a_second(opened):
     assert devices.stage.at["pan"] < 10
 
 
-def test_a_page_that_beats_is_left_alone(opened):
-    session, devices = opened
-    session.holder.enter("page-one")
-    session.bench.stage.move_by({"pan": 5.0})
-    session.bench.stage.move_by({"pan": 4.0, "tilt": 1.0})
-    for _ in range(12):
-        session.holder.beat("page-one")
-        time.sleep(0.1)
-    assert "stop" not in devices.stage.calls
-
-
 def test_a_stop_that_is_not_confirmed_is_shouted_where_nobody_waits_for_it(opened):
     session, devices = opened
     devices.stage.step_deg, devices.stage.stop_fails = 0.005, True
@@ -213,16 +189,6 @@ def test_a_picture_that_has_grown_old_is_not_ready(opened, monkeypatch):
     wait_until(lambda: session.picture().number >= 1)
     monkeypatch.setattr(session_module, "OLD_S", -1.0)
     assert session.state()["rows"]["Camera"]["value"] == "no new picture"
-
-
-def test_the_lines_for_the_station_file_follow_pose_and_level(opened):
-    session, _ = opened
-    assert session.state()["station_lines"] == []
-    session.light(level_percent=50.0)
-    session.bench.stage.move_by({"pan": 1.0})
-    _rest(session)
-    assert session.state()["station_lines"][0] == "stage.axes.pan.zero_deg: -1"
-    assert session.state()["station_lines"][-1] == "light.high_v: 2.5"
 
 
 def test_the_light_is_read_back_and_its_range_is_kept(opened):
@@ -292,11 +258,9 @@ def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opene
     session.light(on=True)
     session.bench.stage.move_by({"pan": 5.0})
     confirmed = session.close()
-    assert [(end.device, end.state) for end in confirmed] == [
-        ("stage", "confirmed safe"),
-        ("light", "confirmed safe"),
-        ("camera", "confirmed safe"),
-    ]
+    assert {end.device: end.state for end in confirmed} == dict.fromkeys(
+        ("stage", "light", "camera"), "confirmed safe"
+    )
     assert devices.stage.calls[-1] == "stop"
     assert not devices.light.lit
     assert devices.closed

@@ -26,17 +26,6 @@ class Page:
         self.version = message["version"]
 
 
-def test_only_what_changed_is_told():
-    changes = ListChanges()
-    changes.take(content({"a": 1, "b": 1, "c": 1}))
-    begun = changes.version
-    changes.take(content({"a": 1, "b": 2}))
-    message = changes.since(begun)
-    assert [row["key"] for row in message["runs"]] == ["b"]
-    assert message["gone"] == ["c"]
-    assert (message["since"], message["reset"]) == (begun, False)
-
-
 def test_a_list_that_is_the_same_is_no_new_version():
     changes = ListChanges()
     changes.take(content({"a": 1}))

@@ -256,11 +256,8 @@ def test_a_question_is_answered(run, server):
     ("body", "what"),
     [
         ({"word": "hold"}, "who gives it"),
-        ({"word": "hold", "by": "  "}, "who gives it"),
         ({"word": "explode", "by": "Ada"}, "not a command"),
         ({"word": "hold", "by": "Ada", "folder": "/etc"}, "not a command"),
-        ({"word": "hold", "by": "A\nda"}, "not a command"),
-        ({"word": "hold", "by": "Ada", "id": "../../../x"}, "not a command"),
         ({"word": "hold", "by": "Ada", "known_by": "file mode"}, "not a command"),
         ([], "not a JSON object"),
     ],

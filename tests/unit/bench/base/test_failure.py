@@ -21,7 +21,7 @@ from bench.run.runner import RunEnd
 from bench.run.status import line_text, read_status
 from bench.run.steps_to_do import intentions
 from calib.errors import CalibrationError
-from drivers.errors import CameraLost, DriverError, MoveFailed, ReplyTimeout
+from drivers.errors import DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError
 from simulators.errors import SimulatorError
 
@@ -110,36 +110,6 @@ def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, ca
     assert "no complete reply" in answer["devices"][1]["said"]
     assert answer["unsafe"] == [answer["devices"][1]["said"]]
     assert line_text(read_journal(scene.folder / "journal.jsonl")[0][-1]).endswith("The light may be on.")
-
-
-def test_a_camera_that_has_gone_is_not_said_to_be_safe(tmp_path, capsys):
-    """To stop a camera sends nothing: one without power was "confirmed safe"."""
-
-    def hook(name):
-        if name in {"camera.record", "camera.identify"} and "camera.record" in scene.calls:
-            raise CameraLost("the connection to the camera is lost.", where="camera 7", remedy="Plug it in.")
-
-    scene = Scene(tmp_path)
-    scene.hook = hook
-    end = scene.run()
-    (run_end,) = scene.data_of(Event.RUN_ENDED)
-    states = {device["device"]: device["state"] for device in run_end["devices"]}
-    assert states == {"stage": "confirmed safe", "light": "confirmed safe", "camera": "not confirmed"}
-    assert run_end["devices"][2]["said"].startswith("the camera does not answer: camera 7: the connection")
-    assert show_run(end) == 1
-    output = "".join(capsys.readouterr())
-    assert "Stage and light confirmed that they are safe:" in output
-    assert "CHECK THE BENCH" not in output
-
-
-def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
-    scene = Scene(tmp_path)
-    assert scene.run().how == "finished"
-    (run_end,) = scene.data_of(Event.RUN_ENDED)
-    assert [device["state"] for device in run_end["devices"]] == ["confirmed safe"] * 3
-    assert run_end["devices"][0]["said"].startswith("it confirmed the stop and reads pan ")
-    assert run_end["devices"][1]["said"] == "it was read back as off"
-    assert not scene.data_of(Event.DEVICES_LEFT)  # no further step needed to know
 
 
 def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):

@@ -55,16 +55,6 @@ def test_a_program_ends_after_the_work_that_its_clock_began():
     assert ended.stdout == "ends\ncomputed\n", ended.stderr
 
 
-def test_the_first_signal_ends_a_long_wait():
-    clock = BenchClock()
-    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM))
-    with stop_on_signals(clock.request_stop):
-        timer.start()
-        with pytest.raises(Aborted, match="SIGTERM received"):
-            clock.sleep(60)
-        timer.join()
-
-
 def test_the_third_ctrl_c_ends_the_process_at_once():
     reasons = []
     with stop_on_signals(reasons.append):

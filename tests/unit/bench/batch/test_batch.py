@@ -69,13 +69,6 @@ def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
     assert [round(at_s) for _, _, at_s in workers.begun] == [0, 600, 3600, 7200]
 
 
-def test_seeds_of_repetitions_differ(tmp_path):
-    items = items_of(queue(("a", ", times: 2, seed: 7, operator: Ada")).value.jobs, NightClock().utc_now())
-    words = [worker_command(item, tmp_path / item.key) for item in items]
-    assert [w[w.index("--seed") + 1] for w in words] == ["7", "8"]
-    assert words[0][-2:] == ["--operator", "Ada"]
-
-
 def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path):
     jobs = queue(("a", ", settings: {station.camera.biases.bias_diff_on: 20, sequence.name: 'x, y'}"))
     (item,) = items_of(jobs.value.jobs, NightClock().utc_now())

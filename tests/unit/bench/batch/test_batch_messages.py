@@ -137,10 +137,3 @@ def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messag
     words = station(tmp_path, ", occasions: [end]")
     messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
     assert delivered(outbox) == []
-
-
-def test_a_station_file_that_is_gone_does_not_end_the_batch(tmp_path, outbox):
-    lines = []
-    messages = BatchMessages(VirtualClock(NOW), lines.append)
-    messages.run_ended("cam-001", str(tmp_path / "gone.yaml"), tmp_path, WorkerEnd("died", "so"), "a" * 64)
-    assert "no message can be sent" in lines[0]

@@ -18,30 +18,6 @@ def stated(run):
     return read_json(run / "results.json")["calibration"]
 
 
-EXPORTS = [
-    "opencv.yaml", "ros_camera_info.yaml", "kalibr_camchain.yaml", "metavision.json", "camera-geometry.json",
-    "mrcal.cameramodel", "colmap_cameras.txt",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("name", EXPORTS)
-def test_an_export_holds_the_camera_of_the_run(run, stated, name):
-    file = run / "exports" / name
-    assert file.is_file() or name == "kalibr_camchain.yaml", "the run has this export"
-    if not file.is_file():
-        pytest.skip("Kalibr's lens has no k3")
-    camera_file = read_camera_file(file)
-    for key, value in stated["camera"].items():
-        own = (
-            getattr(camera_file.camera, key)
-            if key in ("fx", "fy", "cx", "cy")
-            else camera_file.camera.distortion[key]
-        )
-        assert own == pytest.approx(value, rel=1e-12)
-    assert list(camera_file.camera.image_size) == stated["image_size"]
-    assert (camera_file.covariance is not None) == (name == "opencv.yaml")
-
-
 @pytest.mark.parametrize("place", ["", "results.json", "exports/opencv.yaml"])
 def test_a_run_and_its_opencv_export_state_the_covariance(run, stated, place):
     camera_file = read_camera_file(run / place)

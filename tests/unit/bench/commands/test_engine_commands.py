@@ -26,13 +26,6 @@ def points(tmp_path_factory):
     )
 
 
-def test_values_stand_in_columns(capsys, points):
-    output = out_of(capsys, "calibrate", points[0], "--image-size", "1280x720")
-    values = [line for line in output.splitlines() if "±" in line and line.startswith("  ")]
-    assert any(line.startswith("  radial_4 ") for line in values)
-    assert len({line.index("±") for line in values}) == 1
-
-
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"

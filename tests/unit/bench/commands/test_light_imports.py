@@ -67,32 +67,18 @@ def test_small_commands_load_little(folder, tmp_path, words, status, unwanted):
 # ---------------------------------------------------------------- completion
 
 
-def proposed(shell: str, *words: str) -> list[str]:
-    completion = get_completion_class(shell)(cli, {}, "starbench", "_STARBENCH_COMPLETE")
+def proposed(*words: str) -> list[str]:
+    completion = get_completion_class("bash")(cli, {}, "starbench", "_STARBENCH_COMPLETE")
     *before, last = words
     return [(item.type, item.value) for item in completion.get_completions(list(before), last)]
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_commands_options_stations_and_sequences_are_proposed(shell):
-    assert proposed(shell, "ta") == [("plain", "target")]
-    assert ("plain", "show") in proposed(shell, "keys", "")
-    assert ("plain", "--station") in proposed(shell, "run", "--st")
-    assert proposed(shell, "run", "thr") == [("plain", "three_pose")]
-    assert [name for _, name in proposed(shell, "run", "--station", "example_")] == [
-        "example_evk4",
-        "example_network",
-        "example_thorlabs",
-        "example_turntable",
-    ]
-    assert proposed(shell, "station", "new", "x.yaml", "--light", "g") == [("plain", "gardasoft")]
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_shell_completes_paths(shell):
-    assert proposed(shell, "run", "my_se") == [("file", "my_se")]
-    assert proposed(shell, "resume", "runs/") == [("dir", "runs/")]
-    assert proposed(shell, "target", "-o", "x") == [("file", "x")]
+def test_stations_and_sequences_are_proposed_and_the_shell_completes_paths():
+    assert proposed("run", "thr") == [("plain", "three_pose")]
+    assert proposed("run", "--station", "example_n") == [("plain", "example_network")]
+    assert proposed("station", "new", "x.yaml", "--light", "g") == [("plain", "gardasoft")]
+    assert proposed("run", "my_se") == [("file", "my_se")]
+    assert proposed("resume", "runs/") == [("dir", "runs/")]
 
 
 def test_bash_takes_the_script_and_completes_with_it(tmp_path):

@@ -6,7 +6,7 @@ from unittest.mock import create_autospec
 import numpy as np
 import pytest
 
-from bench.measure.camera_kinds import EventKind, FrameKind, camera_kind
+from bench.measure.camera_kinds import EventKind, camera_kind
 from bench.measure.measure import Measurement
 from bench.measure.measure_frames import frame_gates, frame_rejection_reasons, measure_frames
 from bench.plan.job import Job
@@ -44,12 +44,6 @@ def steady(tmp_path) -> str:
 def station_of(camera: str) -> Station:
     text = FRAMES.replace("driver: opencv\n  source: sim:frame-camera", camera)
     return check_document(text.encode(), "b.yaml", Station).value
-
-
-def test_the_station_s_camera_determines_the_camera_kind():
-    assert isinstance(camera_kind(station_of("driver: pictures\n  path: p")), FrameKind)
-    event = "driver: recorded\n  path: p\n  serial: 0005"
-    assert isinstance(camera_kind(station_of(event)), EventKind)
 
 
 def test_a_flicker_becomes_steady_light_at_its_high_level_for_a_frame_camera():

@@ -149,16 +149,6 @@ def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
     assert "chmod 700" in open_to_others.remarks[0]
 
 
-def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
-    (tmp_path / "file").write_text("")
-    kept = KeptViews(tmp_path / "file" / "views")
-    find = Finder(made_view(rim=made_rim()))
-    for _ in range(3):
-        kept.view(recording, OPTIONS, find)
-    assert find.calls == 3
-    assert len(kept.remarks) == 1
-
-
 def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatch):
     monkeypatch.setattr("pathlib.Path.replace", full)
     find = Finder(made_view(rim=made_rim()))

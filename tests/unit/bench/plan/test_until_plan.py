@@ -11,14 +11,14 @@ from station_texts import PLAIN
 from bench.base.errors import ScriptError, UsageError
 from bench.batch.batch_plan import read_job, read_queue
 from bench.plan.job import Job, ParkStep, calibration_options
-from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
+from bench.plan.plan import load_documents, make_plan
 from bench.stations.cameras import OpenCvCameraConfig
 from bench.wording.plan_text import render_plan
 from calib.calibration import LossName, ModelName
 from calib.model.camera import DISTORTION_SETS, SKEW
 from calib.model.lens import BROWN, FISHEYE
 from sequences import solve_schema as schema
-from sequences.reader import check_document, find_document
+from sequences.reader import check_document
 from sequences.schema import Sequence
 from sequences.script import ChooseStep, LightStep, MoveStep
 
@@ -138,16 +138,6 @@ def test_the_script_language_has_every_model_lens_and_loss_of_the_engine():
     assert {f"sigma_{name}" for name in (*BROWN, "skew_px", *FISHEYE)} <= limits
 
 
-@pytest.mark.parametrize("model", get_args(schema.CalibrationModel))
-def test_every_model_reaches_the_engine(model):
-    assert calibration_options(solve_step(f"{{model: {model}}}")).model == model
-
-
-@pytest.mark.parametrize("name", DISTORTION_SETS)
-def test_every_set_of_lens_coefficients_reaches_the_engine(name):
-    assert calibration_options(solve_step(f"{{distortion: {name}}}")).distortion == DISTORTION_SETS[name]
-
-
 def test_the_other_settings_reach_the_engine():
     made = calibration_options(
         solve_step("{loss: l2, huber_px: 0.5, guard_band: 0.9, drift_mm: 0.2, distortion: [kb2, kb1]}")
@@ -188,13 +178,6 @@ def test_a_station_with_a_credential_is_refused_at_its_line(tmp_path, more, says
 def test_a_setting_with_a_credential_is_refused(tmp_path):
     settings = {"station.laboratory": f"https://x:{SECRET}@lab.example/"}
     assert "URL with a password" in str(plan_of(tmp_path, settings=settings).faults[0])
-
-
-def test_a_sequence_with_a_credential_is_refused(tmp_path):
-    text = find_document("three_pose", SHIPPED_SEQUENCES).read_text()
-    (tmp_path / "own.yaml").write_text(f"{text}# from https://u:{SECRET}@git.example/\n")
-    (fault,) = plan_of(tmp_path, sequence=str(tmp_path / "own.yaml")).faults
-    assert "own.yaml" in str(fault)
 
 
 def test_webhooks_are_refused_at_their_line_with_what_to_write_now(tmp_path):

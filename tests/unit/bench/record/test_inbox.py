@@ -57,13 +57,6 @@ def test_anything_else_is_answered_as_none_and_removed_and_what_is_ignored_stays
     assert {path.name for path in inbox.folder.iterdir()} == {".heartbeat", ".f.json.tmp"}
 
 
-def test_a_folder_that_is_gone_holds_no_message_and_takes_none(inbox):
-    inbox.folder.rmdir()
-    assert drained(inbox) == []
-    with pytest.raises(StorageError):
-        inbox.drop(Note(text="x"), "a")
-
-
 def test_a_poller_calls_until_it_is_closed_and_passes_on_an_error_once():
     calls, errors, called, refused = [], [], threading.Event(), threading.Event()
 

@@ -1,6 +1,5 @@
 """Breaks of the ledger: whatever is taken out of it is noticed by the next run, by a check, and by a certificate."""
 
-import json
 import tempfile
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -61,18 +60,6 @@ def test_a_rollback_that_has_grown_again_to_its_old_length_is_noticed(ledger):
     (ledger.home / MARK).write_bytes(mark)
     assert len(ledger.path.read_bytes().splitlines()) == len(copy.splitlines())
     assert "has another line 6" in faults(ledger)[0]
-
-
-def test_an_end_is_entered_though_the_ledger_was_deleted_and_no_number_is_given_twice(ledger):
-    runs(ledger, 1)
-    place = begin(ledger)
-    ledger.path.unlink()
-    assert "has 0 of at least 3 lines" in faults(ledger)[0]
-    ledger.end(place["number"], how="finished", folder=Path("/runs/none"))
-    assert [e.event for e in ledger.entries()] == ["ledger_broken", "run_ended"]
-    assert [known["runs"] for known in ledger.entries()[0].data["known"]] == [2]
-    assert ledger.runs() == []
-    assert begin(ledger)["number"] == 3
 
 
 def test_a_damaged_ledger_is_kept_and_does_not_stop_a_run(ledger):
@@ -142,14 +129,6 @@ def test_a_home_that_cannot_be_written_after_the_begin_stops_no_run(ledger):
     with mock.patch("bench.record.ledger.write_own_mark", side_effect=failed):
         assert begin(ledger)["number"] == 1
     assert "disk is full" in ledger.warnings[0]
-
-
-def test_a_mark_of_earlier_versions_that_names_second_places_is_read(ledger):
-    runs(ledger, 1)
-    mark = json.loads((ledger.home / MARK).read_bytes())
-    (ledger.home / MARK).write_text(json.dumps({**mark, "anchors": ["/mnt/office/bench2.heads"]}) + "\n")
-    assert ledger.breaks() == ([], [])
-    assert begin(ledger)["number"] == 2
 
 
 def test_a_break_keeps_the_highest_number_of_each_series(ledger):

@@ -14,7 +14,7 @@ from bench.record.coverage import Estimate
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
-from bench.record.run_index import INDEX, RunIndex, read_run_and_details, run_folders
+from bench.record.run_index import RunIndex, run_folders
 from bench.solve.agreement import agreement, compare_runs
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
@@ -67,12 +67,6 @@ def test_runs_come_oldest_first_and_as_chosen(index, three):
     assert ids(how="failed", camera="00050999") == []
 
 
-@pytest.mark.parametrize("name", ["a", "b", "c"])
-def test_the_journal_alone_says_the_same_as_the_index(index, three, name):
-    folder = next(path for path in three if path.name == name)
-    assert read_run_and_details(folder)[0] == index.runs([folder])[0][0]
-
-
 def test_the_folders_of_runs_are_found_two_deep(tmp_path, three):
     (tmp_path / "runs" / "journal.jsonl").write_text("")  # a batch's
     (tmp_path / "runs" / "queue.yaml").write_text("")
@@ -113,14 +107,6 @@ def test_a_run_is_listed_once_also_where_a_link_leads_to_it(index, tmp_path, thr
     assert [run.folder for run in runs] == [
         str(folder.resolve()) for folder in (three[1], three[2], three[0])
     ]
-
-
-def test_a_list_tells_how_far_it_is(index, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.record.run_index.COMMIT_EVERY", 2)
-    folders = [make(tmp_path / "runs" / name) for name in "abcde"]
-    counts = []
-    index.runs(folders, progress=counts.append)
-    assert counts == [2, 2, 2]
 
 
 @pytest.mark.parametrize("harm", ["garbage", "older", "deleted"])
@@ -173,19 +159,6 @@ def test_an_index_on_a_full_disk_asks_for_room_and_not_to_be_deleted(index, thre
     with pytest.raises(StorageError, match="Make room on its disk") as refused:
         index.runs(three)
     assert "Delete it" not in str(refused.value)
-
-
-def test_an_index_that_cannot_be_written_says_so(index, tmp_path, three, monkeypatch):
-    def refused(*_, **__):
-        raise sqlite3.OperationalError("database or disk is full")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sqlite3, "connect", refused)
-        with pytest.raises(StorageError, match="disk is full"):
-            index.runs(three)
-    (tmp_path / "other" / INDEX).mkdir(parents=True)
-    with pytest.raises(StorageError):
-        RunIndex(tmp_path / "other").runs(three)
 
 
 def test_an_index_that_cannot_be_made_is_not_to_be_deleted(index):

@@ -19,7 +19,6 @@ def ended(kind, *, how="failed", recorded=1, accepted=True):
     ("history", "command"),
     [
         (ended("DegenerateViews"), "starbench calibrate run --model joint"),
-        (ended("NotConverged"), "starbench calibrate run --model joint"),
         (ended("OutsideLimits", recorded=0), "starbench run nine_pose --station 'my bench.yaml'"),
         (ended("PreflightFailed", recorded=0), "starbench run nine_pose --station 'my bench.yaml'"),
         (ended("PreflightFailed"), "starbench resume run"),

@@ -8,7 +8,7 @@ import pytest
 from bench.record.coverage import Estimate, parameters_data
 from bench.record.run_facts import IndexedRun
 from bench.report.batch_page import render_batch
-from bench.solve.agreement import agreements, by_camera
+from bench.solve.agreement import agreements
 from tests.unit.bench.report.structure import Structure
 
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
@@ -24,12 +24,6 @@ def run(number, *, fx=0.0, k1=0.0, sigma=0.5, shared=0.0, temperature_c=40.0, ca
             "fx": Estimate(3300.0 + fx, sigma, 2.2, shared), "k1": Estimate(0.06 + k1, 0.001, 2.3),
         },
     )  # fmt: skip
-
-
-def test_cameras_are_kept_apart_and_runs_without_a_result_left_out():
-    none = IndexedRun(**{**vars(run(9)), "parameters": {}})
-    grouped = by_camera([run(1, camera="2"), run(0), none])
-    assert {key: len(runs) for key, runs in grouped.items()} == {("1", "spherical"): 1, ("2", "spherical"): 1}
 
 
 # ---------------------------------------------------------------- the page
@@ -76,14 +70,6 @@ def test_nothing_in_a_summary_becomes_markup():
     assert html.count("&lt;script&gt;") >= 3
 
 
-def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
-    cameras = [of_runs([run(n) for n in range(4)])]
-    html = render_batch(summary(item("a-001", report="runs/a-001/report.html"), cameras=cameras))
-    assert [link for link in Structure(html).links if not link.startswith("#")] == ["runs/a-001/report.html"]
-    assert "@import" not in html
-    assert "expanded uncertainty with k = 2.2, 2.3" in html
-
-
 def test_the_page_has_the_command_by_which_each_begun_run_goes_on():
     failed = item("cam-1", "failed", "The lamp is open.")
     page = render_batch(summary(failed, item("cam-2", "not begun", begun_utc=None), how="failed"))
@@ -101,15 +87,6 @@ def test_the_page_says_in_words_whether_the_results_agree():
     assert "All 12 results agree within their uncertainties" in steady
     assert "fx scattered more than" in page(*(run(n, fx=2.0 * n) for n in range(12)))
     assert "there is no comparison" in page(run(0))
-
-
-def test_the_page_holds_the_number_of_each_run_and_the_newest_line_of_the_ledger():
-    places = {"a-001": (9, "a" * 64), "b-001": (10, "b" * 64), "c-001": (None, None)}
-    items = [item(key, ledger_number=number, ledger_head=head) for key, (number, head) in places.items()]
-    html = render_batch(summary(*items))
-    assert f"Newest run in the ledger: run 10 of this bench, line {'b' * 64}" in html
-    assert '<td class="n" data-label="Number">9</td>' in html
-    assert "in the ledger" not in render_batch(summary(item("a-001")))
 
 
 @pytest.mark.parametrize(

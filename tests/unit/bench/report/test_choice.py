@@ -1,19 +1,12 @@
 """Of many poses a page pictures few: the worst, those with gates not passed, others evenly; and says so."""
 
-import copy
-import re
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from report_sample import of_many_poses
 
 from bench.measure.view_picture import ViewPicture
-from bench.report.html import render_report
 from bench.report.pictured_poses import pictured_poses, thinned
-from tests.support.printed_text import printed_text
 
 MOST = 24
 
@@ -60,38 +53,6 @@ def test_any_run_has_as_many_pictures_as_fit(rms, verdicts):
     assert choice.total == len(posed)
     assert len(choice.names) == choice.shown == min(MOST, len(posed))
     assert set(places(choice)) <= set(posed)
-
-
-@pytest.fixture(scope="module")
-def many(data):
-    """Data of a report of fifty poses; pose 31 has the largest residual."""
-    few = [
-        replace(v, detected=v.detected[::20], reprojected=v.reprojected[::20], ids=v.ids[::20])
-        for v in data.views
-    ]
-    views = [replace(few[i % 3], name=f"pose {i}") for i in range(50)]
-    made = of_many_poses(views)
-    made.results["poses"][31]["rms_px"] = 0.2
-    return made
-
-
-@pytest.fixture(scope="module")
-def page(many):
-    return render_report(many)
-
-
-def test_a_page_of_many_poses_says_how_many_it_pictures(page):
-    assert len(re.findall(r'<svg class="pose"', page)) == MOST
-    assert 'aria-label="Image and stars of pose 31"' in page
-    assert any(words.startswith("Images of 24 of 50 poses:") for words in printed_text(page))
-
-
-def test_other_results_give_another_choice(many):
-    results = copy.deepcopy(dict(many.results))
-    before = pictured_poses(results).names
-    left_out = next(pose for pose in results["poses"] if pose["name"] not in before)
-    left_out["rms_px"] = 0.3
-    assert left_out["name"] in pictured_poses(results).names
 
 
 def stars(n, views):

@@ -10,17 +10,14 @@ from report_sample import BORESIGHT, SMALL, sample
 from bench.record.results import MountFace, ReadingsUse
 from bench.report.calibration_tables import (
     budget_rows,
-    checks,
     combined,
     not_included,
     overlap,
     witness_rows,
 )
 from bench.report.html import ReportData, render_report
-from bench.report.run_tables import boresight_rows, inputs, passport_rows, readings_rows
+from bench.report.run_tables import boresight_rows, inputs, readings_rows
 from bench.wording.numbers import NOTHING
-from calib.diagnosis.hand_eye_result import AGREES, AMBIGUOUS, OFF_SCALE, VIEWS_BIASED
-from calib.model.cause import SLIPPED
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
 from calib.model.result_parts import GimbalEstimate, Witness
 from tests.support.printed_text import printed_text
@@ -82,20 +79,6 @@ def test_rows_that_can_hold_the_same_errors_are_named(calibration):
 
 
 # ---------------------------------------------------------------- the gimbal: no blame without evidence
-
-
-@pytest.mark.parametrize("verdict", [AGREES, AMBIGUOUS, OFF_SCALE, VIEWS_BIASED, SLIPPED, "wrong_sign"])
-def test_every_verdict_has_a_heading(data, verdict):
-    gimbal = replace(data.results["gimbal"], verdict=verdict, says=["What was found."])
-    (heading,) = [name for name, remark in checks({"gimbal": gimbal}) if remark == "What was found."]
-    assert heading.startswith("Gimbal: ")
-
-
-def test_the_verdict_alone_says_whether_readings_and_rotations_agree(data):
-    check = "Hand-eye check: rotations against the gimbal's readings"
-    for agrees in (True, False):
-        rows = dict(checks({"gimbal": replace(data.results["gimbal"], agrees=agrees)}))
-        assert re.fullmatch("RMS difference [^ ]+\\.", rows[check])
 
 
 ENTERED = GimbalEstimate(
@@ -170,17 +153,6 @@ def test_the_report_names_the_passport_with_values_and_hash(data):
     text = printed_text(render_report(data))
     assert "ab" * 32 in text
     assert "compared with the result only. The station does not bound the parallax." in text
-
-
-def test_a_passport_from_views_lists_its_centre_and_names_its_aberrations(data):
-    values = {"x": 96.1, "y": 140.2, "r": 255.0, "radial": 0.1}
-    sigma = {"x": 0.05, "y": 0.06, "r": 0.1, "radial": 0.01}
-    of_views = replace(
-        data.results["passport"], source="sequence", name="c17.json", number=None, values=values, sigma=sigma
-    )
-    rows = dict(passport_rows(of_views))
-    assert rows["Collimator passport"].endswith("file named by the sequence (c17.json)")
-    assert rows["Values of the passport"].endswith("r = 255 mm, standard uncertainty 0.1 mm; and radial")
 
 
 def test_readings_that_entered_say_how_they_agree():

@@ -9,14 +9,12 @@ from quick_runs import THREE
 from rehearsed import Scene, with_runner
 
 import bench.batch.rehearsal
-from bench.base.clock import BenchClock
 from bench.measure.measure import Measurement
 from bench.plan.plan import CHECK_S
 from bench.record.events import Event
 from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.control import Command
-from drivers.errors import PortLost
 from sequences.script import RecordStep
 
 SKIP = Command(word="skip", by="ada", pose=1)
@@ -121,30 +119,6 @@ def test_a_run_killed_after_any_line_keeps_every_pose_and_repeats_none(reject, t
         assert len(cut.data_of(Event.CAPTURE_STORED)) - stored <= 4 - stored, count
 
 
-def test_a_stop_while_the_stage_turns_leaves_the_recording_to_be_checked_on_resuming(scene, monkeypatch):
-    with_runner(scene, monkeypatch)
-    scene.at("stage.move_to", 2, lambda: scene.runner.context.clock.request_stop("stopped by Ctrl-C"))
-    assert scene.run().how == "aborted"
-    assert not scene.light_is_on()
-    assert scene.data_of(Event.ATTEMPT_CHECKED) == []
-    assert scene.run().how == "finished"
-    assert len(scene.data_of(Event.CAPTURE_STORED)) == 3
-    see_each_pose_once(scene)
-
-
-def test_an_interlock_while_the_stage_turns_holds_the_run_and_the_check_counts_afterwards(scene, monkeypatch):
-    """A device that is lost on the way to pose 2 is opened again, and pose 1 is neither lost nor repeated."""
-    scene = Scene(
-        scene.folder.parent,
-        poses=THREE,
-        station="interlocks: {device_lost: {retry_s: 1, max_hold_s: 60}}\n",
-    )
-    scene.fail_at("stage.move_to", 2, PortLost("the port is gone"))
-    assert scene.run().how == "finished"
-    assert len(scene.data_of(Event.CAPTURE_STORED)) == 3
-    see_each_pose_once(scene)
-
-
 def test_a_pose_in_check_that_an_operator_skips_counts_if_it_is_accepted_and_is_skipped_if_not(
     tmp_path, reject, monkeypatch
 ):
@@ -157,16 +131,3 @@ def test_a_pose_in_check_that_an_operator_skips_counts_if_it_is_accepted_and_is_
         history = replay(read_journal(scene.folder / "journal.jsonl")[0])
         assert sorted(history.accepted()) == poses, name
         assert (1 in history.skipped) is (name == "bad")
-
-
-def test_work_in_parallel_goes_on_while_the_caller_waits_and_its_error_is_raised_where_its_result_is_asked_for():
-    clock = BenchClock()
-    result = clock.in_parallel(lambda: 6 * 7)
-    assert result() == 42
-
-    def fail():
-        raise OSError("no such recording")
-
-    failed = clock.in_parallel(fail)
-    with pytest.raises(OSError, match="no such recording"):
-        failed()

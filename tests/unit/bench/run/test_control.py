@@ -1,14 +1,10 @@
 """Commands of operators: who may give them, why they are refused, and that each is done once and removed."""
 
-import json
 import os
 import threading
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from journals import CLOCKS
-from pydantic import ValidationError
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
@@ -218,9 +214,3 @@ def test_testing_the_lock_of_a_run_does_not_block_others(tmp_path):
         stop.set()
         asking.join()
     assert not is_locked(tmp_path / "run")
-
-
-@given(st.binary(max_size=200) | st.dictionaries(st.text(), st.text()).map(lambda v: json.dumps(v).encode()))
-def test_no_bytes_can_break_the_reading_of_a_command(data):
-    with pytest.raises(ValidationError):
-        Command.model_validate_json(data)

@@ -30,6 +30,20 @@ ERROR = {
 }
 
 
+def tell(journal, attempt, pose=1, accepted=None, reasons=(), **facts):
+    """Journal a recording, and what came of its check."""
+    which = {"pose": pose, "attempt": attempt}
+    named = {"pose_name": "left" if pose == 1 else f"p{pose}", "capture": f"captures/{pose}-{attempt}.raw"}
+    journal.append(Event.CAPTURE_STORED, **which, **named, facts=facts)
+    if accepted is not None:
+        checked = {"accepted": accepted, "stars": 193 * accepted, "reasons": list(reasons)}
+        journal.append(Event.ATTEMPT_CHECKED, **which, **checked, gates=[], measured={})
+
+
+def reopened(folder):
+    return Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0)
+
+
 @pytest.fixture
 def key(tmp_path):
     return create_key(tmp_path / "home")
@@ -42,12 +56,8 @@ def folder(tmp_path):
         Journal.create(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal,
     ):
         journal.append(Event.RUN_STARTED, id="run-7", simulated=True, sequence="Three", station="Bench")
-        stored = {"pose": 1, "pose_name": "left", "attempt": 1, "capture": "captures/a.raw"}
-        journal.append(Event.CAPTURE_STORED, **stored, facts={"events": 49893})
         reasons = ["The picture is dark.", "stars 0, needed >= 40"]
-        journal.append(
-            Event.ATTEMPT_CHECKED, pose=1, attempt=1, accepted=False, stars=0, reasons=reasons, gates=[], measured={}
-        )  # fmt: skip
+        tell(journal, 1, accepted=False, reasons=reasons, events=49893)
         journal.append(Event.RUN_ENDED, how="failed", why="dark", error=ERROR, devices=[])
         yield folder
 
@@ -65,15 +75,11 @@ def test_the_page_says_why_what_to_do_and_what_was_recorded(folder, key):
 def test_beside_the_refused_picture_stands_the_last_good_one_with_its_stars(folder, key, monkeypatch):
     camera = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
     lit = VirtualCamera({"camera": camera}, 1).picture({})
-    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
-        for pose, accepted in ((2, True), (3, False)):
-            stored = {"pose": pose, "pose_name": f"p{pose}", "attempt": 1, "capture": f"captures/{pose}.raw"}
-            journal.append(Event.CAPTURE_STORED, **stored, facts={})
-            journal.append(
-                Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=accepted, stars=9, reasons=[], gates=[], measured={}
-            )  # fmt: skip
+    with reopened(folder) as journal:
+        tell(journal, 1, pose=2, accepted=True)
+        tell(journal, 1, pose=3, accepted=False)
         journal.append(Event.RUN_ENDED, how="failed", why="dark", error=ERROR, devices=[])
-    monkeypatch.setattr("bench.measure.measure.recorded_image", lambda path: lit * (path.name == "2.raw"))
+    monkeypatch.setattr("bench.measure.measure.recorded_image", lambda path: lit * (path.name == "2-1.raw"))
     write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     shown = re.findall(r'base64,([^"]+)" alt="([^"]+)"', (folder.path / REPORT).read_text())
     refused, good = (cv2.imdecode(np.frombuffer(base64.b64decode(png), np.uint8), -1) for png, _ in shown)
@@ -83,30 +89,21 @@ def test_beside_the_refused_picture_stands_the_last_good_one_with_its_stars(fold
 
 
 def test_each_recording_shows_whether_it_was_accepted(folder, key):
-    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
-        for attempt in (2, 3):
-            stored = {
-                "pose": 1,
-                "pose_name": "left",
-                "attempt": attempt,
-                "capture": f"captures/{attempt}.raw",
-            }
-            journal.append(Event.CAPTURE_STORED, **stored, facts={"events": 1234567})
-        journal.append(
-            Event.ATTEMPT_CHECKED, pose=1, attempt=2, accepted=True, stars=193, reasons=[], gates=[], measured={}
-        )  # fmt: skip
+    with reopened(folder) as journal:
+        tell(journal, 2, accepted=True, events=1234567)
+        tell(journal, 3, events=1234567)
     write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     why = "The picture is dark; stars 0, needed >= 40"
     assert cells((folder.path / REPORT).read_text(), "Recordings") == [
-        ["left", "1", "[fail] refused", "0", "49\u202f893", why, "captures/a.raw"],
-        ["left", "2", "[pass] accepted", "193", "1\u202f234\u202f567", NOTHING, "captures/2.raw"],
-        ["left", "3", "[marginal] not measured", NOTHING, "1\u202f234\u202f567", NOTHING, "captures/3.raw"],
+        ["left", "1", "[fail] refused", "0", "49\u202f893", why, "captures/1-1.raw"],
+        ["left", "2", "[pass] accepted", "193", "1\u202f234\u202f567", NOTHING, "captures/1-2.raw"],
+        ["left", "3", "[marginal] not measured", NOTHING, "1\u202f234\u202f567", NOTHING, "captures/1-3.raw"],
     ]
 
 
 def test_a_run_whose_journal_says_that_it_finished_keeps_its_report(folder, key):
     """Only the sync of that line had failed: the run ended as a failed one, and is sealed when it is resumed."""
-    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+    with reopened(folder) as journal:
         journal.append(Event.RUN_RESUMED, torn_bytes=0, software={})
         journal.append(Event.RUN_ENDED, how="finished", why="", devices=[])
     (folder.path / REPORT).write_text("the report")

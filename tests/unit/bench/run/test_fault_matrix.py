@@ -10,6 +10,9 @@ from run_faults import FAULTS
 DOCUMENT = Path(__file__).parents[4] / "docs" / "faults.md"
 SOME = [
     ("stage unplugged", "slewing"),
+    ("stage lost for 20 s, interlock `device_lost`", "homing"),
+    ("light lost for 20 s, interlock `device_lost`", "recording"),
+    ("light silently off", "recording"),
     ("camera lost for 20 s, interlock `device_lost`", "recording"),
     ("camera unplugged", "parking"),
     ("recording interrupted", "recording"),

@@ -54,7 +54,6 @@ def test_a_bench_that_is_not_ready_and_whose_stage_falls_silent_is_not_said_to_h
 
 # ---------------------------------------------------------------- lost
 
-LOST = [PortLost("gone"), CameraLost("gone"), ReplyTimeout("silent")]
 
 LOST_WORDS = "\ninterlocks: {device_lost: {retry_s: 5, max_hold_s: 120}}\n"
 
@@ -71,24 +70,6 @@ def lost_at(scene, when, error, away_s):
             raise error
 
     scene.hook = hook
-
-
-@pytest.mark.parametrize("when", ["stage.home", "light.on", "stage.move_to", "camera.record", "light.read"])
-@pytest.mark.parametrize("error", LOST, ids=lambda e: type(e).__name__)
-def test_a_lost_device_is_waited_for_identified_and_used_again(tmp_path, when, error):
-    scene = Scene(tmp_path, station=LOST_WORDS)
-    lost_at(scene, when, error, 31)
-    end = scene.run()
-    assert end.how == "finished", end.why
-    (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
-    assert 30 < released["held_s"] < 40
-    held = scene.states().index("holding")
-    assert scene.states()[held + 1 : held + 3] == ["preflight", "homing"]
-    assert [d["pose"] for d in scene.data_of(Event.CAPTURE_STORED)] == [1, 2]
-    assert any(
-        "CHECK" not in d["what"] and "device lost interlock held" in d["what"]
-        for d in scene.data_of(Event.DEVIATION)
-    )
 
 
 def test_a_device_that_stays_lost_ends_the_run_in_time(tmp_path):

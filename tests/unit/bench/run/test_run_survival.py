@@ -50,14 +50,3 @@ def test_a_recording_in_which_the_computer_was_suspended_is_made_again(
     reasons = [reason for attempt in checked for reason in attempt["reasons"]]
     suspended = ["the computer was suspended for 1800 s during the recording"]
     assert reasons == (suspended if attempts == 3 else [])
-
-
-def test_a_light_that_went_dark_is_named_and_not_the_cable_of_the_camera(tmp_path):
-    """Overload, a watchdog in the light, or a person switches it off; then the camera sees no trigger edges either."""
-    scene = Scene(tmp_path)
-    scene.at("camera.record", 1, lambda: setattr(scene.light_and_stage()[0], "lit", False))
-    end = scene.run()
-    assert end.how == "failed"
-    assert "the light was switched on, and is dark after a recording" in end.why
-    assert scene.run().how == "finished"
-    assert accepted(scene) == [1, 2]

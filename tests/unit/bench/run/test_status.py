@@ -7,7 +7,6 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 from locking_process import locking, suspend
-from refusals import full
 from rehearsed import Scene, with_runner
 
 from bench.base.errors import RunFolderError
@@ -186,11 +185,6 @@ def test_following_shows_each_change_and_ends_with_the_run(run):
     assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path):
-    with pytest.raises(RunFolderError, match="not a run folder"):
-        read_status(tmp_path)
-
-
 def test_a_plan_of_another_program_is_refused(run):
     (run.path / "plan.json").write_text("[]")
     with pytest.raises(RunFolderError, match=r"plan\.json cannot be read"):
@@ -223,26 +217,12 @@ def test_a_picture_is_left_and_read_again(tmp_path):
     assert (left.attempt, left.nodes, left.fault) == (2, [], "no stars")
 
 
-def test_it_is_no_command_and_stays_in_the_inbox(tmp_path):
-    (tmp_path / CONTROL).mkdir()
-    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
-    inbox_of(tmp_path).drain(lambda *_: pytest.fail("the picture was taken for a command"))
-    assert (tmp_path / CONTROL / LAST_VIEW).exists()
-
-
 def test_without_an_inbox_or_an_image_nothing_is_left(tmp_path):
     leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
     (tmp_path / CONTROL).mkdir()
     leave_view(tmp_path, 1, 1, Measurement(None, None), StarTarget())
     assert read_last_view(tmp_path) is None
     assert not list((tmp_path / CONTROL).iterdir())
-
-
-def test_a_full_disk_does_not_disturb_the_run(tmp_path, monkeypatch):
-    (tmp_path / CONTROL).mkdir()
-    monkeypatch.setattr("pathlib.Path.write_bytes", full)
-    leave_view(tmp_path, 1, 1, _measurement(), StarTarget())
-    assert read_last_view(tmp_path) is None
 
 
 @pytest.mark.parametrize("text", [b"", b"{}\n", b"[1]\n", b'{"pose": 1', b"\xff\xfe\n"])

@@ -9,8 +9,6 @@ from rehearsed import Scene, with_runner
 
 from bench.commands.run import show_run
 from bench.record.events import Event
-from bench.record.history import replay
-from bench.record.journal import read_journal
 from bench.run.control import Command
 from bench.run.status import read_status, status_text
 from bench.solve import interim, next_pose
@@ -106,47 +104,6 @@ def test_a_failed_pose_ends_the_run_if_the_sequence_says_so_and_a_resumed_run_tr
     assert scene.run().how == "finished"
     assert decisions(scene)[: len(first)] == first
     assert sorted(angles(scene)) == [1, 2, 3, 4, 5]
-
-
-def test_the_minutes_end_it_and_only_worked_time_counts(tmp_path):
-    scene = until_scene(tmp_path, NEVER.replace("at_most: 5", "minutes: 0.05, at_most: 9"))
-    assert scene.run().how == "finished"
-    last = scene.data_of(Event.UNTIL_DECIDED)[-1]
-    assert last["ended"] == "minutes"
-    assert last["recorded"] < 9
-    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
-    assert last["worked_s"] >= 3
-    assert sum(history.worked_s.values()) > last["worked_s"]
-
-
-def test_time_between_two_processes_does_not_count(tmp_path):
-    scene = until_scene(tmp_path, NEVER)
-    scene.fail_at("camera.record", 4, KeyboardInterrupt)
-    with pytest.raises(KeyboardInterrupt):
-        scene.run()
-    scene.clock.sleep(3600)
-    assert scene.run().how == "finished"
-    assert scene.data_of(Event.UNTIL_DECIDED)[-1]["worked_s"] < 60
-
-
-@pytest.mark.slow
-def test_beside_a_coarse_certificate_poses_are_recorded_as_long_as_they_help(tmp_path):
-    place = "station.collimator.certificate"
-    certificate = {f"{place}.r_mm": "255", f"{place}.uncertainty_mm": "1", f"{place}.number": "C-7"}
-    until = NEVER.replace("0.001", "1").replace("at_most: 5", "at_most: 9")
-    scene = until_scene(tmp_path, until, "joint", settings=certificate)
-    assert scene.run().how == "finished"
-    *before, last = decisions(scene)
-    assert last["ended"] == "unreachable"
-    assert last["poses"] < 9
-    assert last["at_end"]["expanded_fx_px"] > 0.95 * last["now"]["expanded_fx_px"]
-    assert all(
-        decision["at_end"]["expanded_fx_px"] < 0.95 * decision["now"]["expanded_fx_px"] for decision in before
-    )
-    assert last["why"].startswith("U(fx) is ")
-    assert "the goal is 1 px. With all 9 poses, U(fx) would still be about " in last["why"]
-    assert last["why"].count("the goal") == 1
-    assert "The largest part of U(fx) comes from: passport of the collimator, " in last["why"]
 
 
 def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_path, monkeypatch):

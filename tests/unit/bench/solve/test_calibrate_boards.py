@@ -58,13 +58,10 @@ def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(fo
     assert "nothing" in left_out
     assert "No checkerboard of 7 x 5 inner corners was found" in left_out
     report = (out / "report.html").read_text()
-    assert "calibrated with a flat target at finite distance" in report
     assert "wavefront" not in report
-    assert "residuals of the points" in report
     assert not re.search(r"\bstars?\b", " ".join(printed_text(report)))
     results = json.loads((out / "results.json").read_text())
     assert results["run"]["board"] == "checkerboard:7x5:20mm"
-    assert "points are near" in report.lower()
     pattern = json.loads((out / "exports" / "metavision.json").read_text())["pattern"]
     assert (pattern["n_cols"], pattern["n_rows"]) == (7, 5)
 
@@ -237,26 +234,3 @@ def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_
     words = ("--board", "checkerboard:9x6:10mm", "--reconstruct")
     captured = call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=1)
     assert "Move the camera obliquely" in captured.err
-
-
-@pytest.mark.slow
-def test_a_simulated_moving_board_is_reconstructed_where_it_stands_at_the_time_of_the_picture():
-    from virtual_camera import VirtualCamera
-
-    from calib.boards.board import Board
-    from calib.boards.detect import detect_board
-    from tests.benchmarks.compared.columns import Column, Screen
-    from tests.benchmarks.compared.scenes import record_moving
-
-    column = Column(name="a", method="reconstruction", images=2, board=Screen(focus="sharp"))
-    screen = {"columns": 11, "rows": 7, "pitch_mm": 12.0, "position_mm": [0.0, 0.0, 900.0]}
-    optics = {"mounting_deg": [0.0, 0.0, 0.0]}
-    section = {"noise": "typical", "screen": {**screen, "turn_deg": [20, -15, 12]}, "optics": optics}
-    picture = record_moving(column, section, 3345.0, 3, 1)[True]
-    view = detect_board(picture, Board("checkerboard", 11, 7, 12.0))
-    true = VirtualCamera(section, 3).board_corners_px()[view.ids]
-    if np.linalg.norm(view.points_px[0] - true[0]) > 50:
-        true = true[::-1]
-    apart = view.points_px - true
-    assert np.linalg.norm(apart.mean(axis=0)) < 0.3  # the latency of the pixels moves all points alike
-    assert np.sqrt(np.mean((apart - apart.mean(axis=0)) ** 2)) < 0.05

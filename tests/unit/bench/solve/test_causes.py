@@ -143,11 +143,6 @@ def test_what_rests_on_the_last_run_has_its_name_and_stands_beside_what_the_run_
     assert [cause.kind for cause in told if cause.before] == [kinds.LIGHT]
 
 
-def test_the_most_probable_cause_is_first():
-    found_causes = causes(focal_px=10300.0, light={**LIGHT, "high_v": 2.0})
-    assert [cause.kind for cause in found_causes] == [kinds.LENS, kinds.LIGHT]
-
-
 def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
     assert causes(focal_px=None) == []
     (cause,) = causes(focal_px=None, last=earlier(fx=5000.0, stars=300))

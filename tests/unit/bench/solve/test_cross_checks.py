@@ -8,7 +8,7 @@ import pytest
 from expected_stars import expected_views
 
 from bench.base.bounded_json import canonical_json
-from bench.solve.checks import gimbal_check, split_half_check
+from bench.solve.checks import gimbal_check
 from bench.solve.results_content import projection_facts
 from calib.diagnosis.hand_eye_result import OFF_SCALE
 from calib.engine import CalibrationOptions, calibrate
@@ -21,15 +21,6 @@ POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
 @pytest.fixture(scope="module")
 def views():
     return expected_views([(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES], sigma_px=0.02, seed=3)
-
-
-@pytest.mark.slow
-def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
-    """By less, where what is not known is the same in both: the glass, here of two views each."""
-    check = split_half_check(views, CalibrationOptions())
-    assert 0.0 < check.ratio < 2.5
-    assert check.worst_px >= check.rms_px > 0
-    assert split_half_check(views[:3], CalibrationOptions()) is None
 
 
 def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):

@@ -209,9 +209,8 @@ def test_metavision_s_json_holds_the_places_of_the_target_in_metres():
     )
 
 
-@pytest.mark.parametrize("name", ["evk4_a\\b", "evk4_1\n2", "evk4_a b:c", "evk4_\u00fc-1"])
-def test_a_serial_number_of_any_letters_leaves_every_file_readable(name):
-    files = exports(calibration("k1k2"), camera_name=name)
+def test_a_serial_number_of_any_letters_leaves_every_file_readable():
+    files = exports(calibration("k1k2"), camera_name="evk4_a\\b\n2 c:\u00fc-1")
     storage = file_storage(files["opencv.yaml"], ".yml")
     camera_name = storage.getNode("camera_name").string()
     assert camera_name.isascii()
@@ -222,11 +221,6 @@ def test_a_serial_number_of_any_letters_leaves_every_file_readable(name):
     assert len(files["colmap_cameras.txt"].decode().splitlines()) == 3
     for format_name, read in READERS.items():
         assert read(files[format_name])[1] == 3345.06
-
-
-def test_the_same_calibration_gives_the_same_bytes():
-    first, second = (exports(calibration("rational"), camera_name="c") for _ in range(2))
-    assert first == second
 
 
 def test_the_boresight_is_a_transform_as_ros_publishes_it():

@@ -2,19 +2,15 @@
 
 import json
 import re
-from types import SimpleNamespace
 
 import pytest
 from calling import out_of
 
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
-from bench.solve import forecasts
 from bench.solve.expectations import expected_uncertainty
 from bench.solve.forecasts import forecast_bench, suggest_poses
-from bench.stations.station import ExpectedConfig
 from calib.model.camera import distortion_names
 from calib.studies.pose_gains import distance_deg
-from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
 
 NINE = (SHIPPED_SEQUENCES / "nine_pose.yaml").read_text()
 
@@ -32,14 +28,6 @@ def solved(tmp_path):
         return plan(str(tmp_path / "nine.yaml"))
 
     return write
-
-
-def test_what_a_station_does_not_state_is_typical():
-    planned = plan("nine_pose")
-    station = planned.station.value
-    expected = ExpectedConfig(focal_px=3300, r_mm=255, half_angle_deg=12)
-    typical = expected.errors(station.collimator.model_copy(update={"defocus": None}))
-    assert (typical.rms_px, typical.defocus) == (TYPICAL_RMS_PX, TYPICAL_DEFOCUS)
 
 
 def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
@@ -70,17 +58,6 @@ def test_a_limit_that_more_poses_can_meet_says_so(solved):
     (fx, *_) = expected_uncertainty(solved("{limits: {expanded_fx_px: 1.5}}")).remarks
     assert fx.startswith("U(fx) of at most 1.5 px will not be met: 1.9 expected")
     assert re.search(r"twice as many poses would leave 1\.[4-7] px\.$", fx)
-
-
-@pytest.mark.usefixtures("coarse")
-def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is_named(tmp_path):
-    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "0.5, ")
-    (tmp_path / "until.yaml").write_text(
-        text.replace("  - report", "  - solve: {limits: {expanded_fx_px: 1}}\n  - report")
-    )
-    forecast = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
-    assert forecast.chosen == forecast.poses - 3 > 0
-    assert re.search("1.[5-9] expected.* part is: (parallax|scale and|readings)", forecast.remarks[0])
 
 
 def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
@@ -119,14 +96,6 @@ def expected(sequence="until_good", station="simulated", **settings):
     return expected_uncertainty(make_plan(*load_documents(sequence, station, paths)))
 
 
-def test_on_an_ideal_bench_the_first_poses_suffice():
-    forecast = expected(station="simulated_ideal")
-    (course,) = forecast.courses
-    assert course.poses == forecast.poses == 3
-    assert course.reached["expanded_fx_px"] < 2.5
-    assert re.search(r"about 3 poses .* 2\.5 px .* 1\.5 px", course.text)
-
-
 @pytest.mark.usefixtures("coarse")
 def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
     forecast = expected(expanded_fx_px=1.8)
@@ -144,16 +113,6 @@ def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said(
 
 
 @pytest.mark.usefixtures("coarse")
-def test_one_forecast_is_behind_all_that_a_plan_says_of_an_until():
-    for goal in (1.8, 0.5):
-        forecast = expected(expanded_fx_px=goal)
-        (course,) = forecast.courses
-        assert course.reached["expanded_fx_px"] == forecast.forecast.limited["expanded_fx"]
-        assert forecast.chosen == forecast.poses - 3 > 0
-        assert f"about {forecast.poses} poses" in course.text
-
-
-@pytest.mark.usefixtures("coarse")
 def test_a_second_until_goes_on_from_the_poses_of_the_first(tmp_path):
     text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()
     second = "  - until: {expanded_fx_px: 1.8, at_most: 10}\n  - light: off\n"
@@ -161,34 +120,3 @@ def test_a_second_until_goes_on_from_the_poses_of_the_first(tmp_path):
     first, then = expected_uncertainty(plan(str(tmp_path / "two.yaml"))).courses
     (alone,) = expected(expanded_fx_px=1.8).courses
     assert first.poses + then.poses == alone.poses
-
-
-@pytest.mark.usefixtures("coarse")
-def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_most(tmp_path, capsys):
-    (tmp_path / "until.yaml").write_text(
-        (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "1.8, ")
-    )
-    jobs = [
-        "{name: a, sequence: until.yaml, station: simulated}",
-        "{name: b, sequence: nine_pose, station: simulated}",
-    ]
-    (tmp_path / "night.yaml").write_text(f"format: starbench/queue/1\nname: N\njobs: [{', '.join(jobs)}]\n")
-    lines = out_of(capsys, "plan", str(tmp_path / "night.yaml")).splitlines()
-    place = next(place for place, line in enumerate(lines) if line.startswith("a  "))
-    job, until, nine = lines[place : place + 3]
-    assert re.search(r"^a +at most .* at most .* \(k = 2[.\d]*\), with about \d+ poses$", job)
-    assert until.strip().startswith("Expected: about ")
-    assert "at most" not in nine
-    assert "at the latest, at most about" in lines[-1]
-    assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in lines)
-
-
-def test_the_first_suggestion_is_told_before_the_next_is_weighed(monkeypatch):
-    weighed = []
-    monkeypatch.setattr(forecasts, "forecast_if_enough", lambda _, poses: weighed.append(len(poses)))
-    further = [SimpleNamespace(angles_deg={"pan_deg": angle, "tilt_deg": 0.0}) for angle in (1.0, 2.0)]
-    suggestions = forecasts.forecasts_with(plan("three_pose"), further)
-    next(suggestions)
-    assert weighed == [4]
-    next(suggestions)
-    assert weighed == [4, 5]

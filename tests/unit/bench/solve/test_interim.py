@@ -205,17 +205,6 @@ def test_readings_that_enter_count_in_the_choice_of_the_next_pose():
     assert after_px[readings] < 0.97 * after_px[None]
 
 
-@pytest.mark.usefixtures("numbers")
-def test_readings_are_given_to_the_choice_as_the_calibrations_use_them(job, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        interim, "choose_pose", lambda *_, readings, **__: asked.append(readings) or "No pose is left."
-    )
-    decided(job, HistoryOf([1, 2, 3]), calibration(3.0, 0.5))
-    assert asked
-    assert all(readings is not None for readings in asked)
-
-
 def test_no_pose_left_is_said():
     assert "No pose within the limits" in choose(min_stars=100_000)
 
@@ -242,17 +231,6 @@ def test_a_mounting_turned_by_a_quarter_is_found_from_the_views():
     straight = fit_gimbal(rotations[:1], readings[:1])
     assert straight.rotations(angles_of(readings[:1]))[0] == pytest.approx(rotations[0], abs=1e-9)
     assert fit_gimbal(np.zeros((0, 3, 3)), []).rotations(angles_of([{}]))[0] == pytest.approx(np.eye(3))
-
-
-def test_more_poses_leave_less_and_a_neighbour_brings_less_than_a_far_pose():
-    bench = expected_bench(load_station("simulated"))
-    weigher = PoseWeigher(bench, Gimbal(), TAKEN)
-    near, far, repeat = {"pan_deg": 6.3, "tilt_deg": 2.0}, {"pan_deg": 4.0, "tilt_deg": -3.0}, TAKEN[0]
-    by_near, by_far = weigher.weigh([near, far, repeat])
-    assert by_far.after.worst_px < by_near.after.worst_px < weigher.before.worst_px
-    assert weigher.visible([near, repeat]) == [near, repeat]
-    few = PoseWeigher(bench, Gimbal(), TAKEN[:1])
-    assert few.weigh([far])[0].after.fx_px < few.before.fx_px
 
 
 def test_poses_that_turn_an_axis_by_little_are_weighed_with_the_readings_of_the_recorded_ones():

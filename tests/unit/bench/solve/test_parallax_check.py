@@ -10,7 +10,7 @@ import yaml
 import bench.solve.checks as checked
 from bench.plan.plan import load_documents, make_plan
 from bench.report.run_tables import parallax_rows
-from bench.solve.checks import PARALLAX_TEST, mount_faces, parallax_check
+from bench.solve.checks import mount_faces, parallax_check
 from bench.stations.station import GimbalConfig
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
@@ -49,10 +49,6 @@ def find_pupil(monkeypatch):
         monkeypatch.setattr(checked, "pupil_walk", study)
 
     return find
-
-
-def test_the_shipped_sequence_has_the_name_that_must_have_a_result():
-    assert make_plan(*load_documents("parallax_test", "simulated")).sequence.value.name == PARALLAX_TEST
 
 
 def test_a_pupil_that_the_station_does_not_state_is_to_be_written_into_it(find_pupil):

@@ -8,7 +8,6 @@ from expected_stars import expected_views
 from bench.measure.gates import solution_gates
 from bench.plan.job import Job
 from bench.report.run_tables import readings_rows
-from bench.solve.forecasts import forecast_bench
 from bench.solve.solve_options import (
     NO_SECTION,
     gimbal_readings,
@@ -59,11 +58,10 @@ def test_encoders_replace_the_readings_of_their_axes():
     ("task", "settings", "why"),
     [
         (job(None), {}, NO_SECTION),
-        (job(GIMBAL % OFF_PIVOT), {"model": "spherical"}, "The spherical model is a method of reference"),
         (job(GIMBAL % OFF_PIVOT), {"readings": "witness"}, "The sequence keeps them out"),
         (job(GIMBAL % OFF_PIVOT), {"model": "planar"}, "The planar model frees the centre"),
     ],
-    ids=["no section", "spherical", "witness", "planar"],
+    ids=["no section", "witness", "planar"],
 )
 def test_readings_that_do_not_enter_say_why_not(task, settings, why):
     _, _, readings = solved(task, **settings)
@@ -104,22 +102,3 @@ def test_limits_judge_expanded_uncertainties_and_the_worst_corner():
         ("worst corner", "pass"),
         ("sigma k1", "pass"),
     ]
-
-
-def test_a_stated_bow_and_distortion_bound_the_radial_term():
-    settings = {
-        "station.budget": "{print_bow: {value_mm: 0.001, radius_mm: 40, distribution: rectangular, source: maker}, "
-        "collimator_distortion: {relative: 1e-5, at_deg: 10, distribution: rectangular, source: maker}}",
-        "station.collimator.certificate": "",
-        "station.gimbal": "",
-    }
-    flat, unknown = (
-        Job.from_files("nine_pose", "simulated_ideal", seed=1, operator=None, settings=chosen)
-        for chosen in (settings, {**settings, "station.budget": "{}"})
-    )
-    bounded, options, _ = solved(flat, model="auto")
-    free, _, _ = solved(unknown, model="auto")
-    assert options.radial_sigma == pytest.approx(2.1e-4, rel=0.02)
-    # What the rim of the beam does to the stars is not bounded by it.
-    assert bounded.sigma["fx"] < 0.95 * free.sigma["fx"]
-    assert forecast_bench(flat.plan).radial_sigma == options.radial_sigma

@@ -13,14 +13,11 @@ from calib.errors import TargetNotFound
 #: First bytes by the formats' own documents: ISO 14496-12 and 23008-12, RIFF, GIF89a, Matroska, ISO 15444-1.
 STARTS = {
     "IMG_1.HEIC": (b"\0\0\0\x18ftypheic", "a HEIC picture", "Convert it to PNG"),
-    "a.avif": (b"\0\0\0\x1cftypavif", "an AVIF picture", "Convert it to PNG"),
     "a.webp": (b"RIFF\x10\0\0\0WEBP", "a WebP picture", "Convert it to PNG"),
-    "a.gif": (b"GIF89a", "a GIF picture", "Convert it to PNG"),
     "a.jp2": (b"\0\0\0\x0cjP  \r\n", "a JPEG 2000 picture", "Convert it to PNG"),
     "DSC_1.NEF": (b"MM\0*", "a raw picture of a photo camera", "nor correct the lens"),
     "I.cr2": (b"II*\0\x10\0\0\0CR\2\0", "a raw picture of a photo camera", "nor correct the lens"),
     "a.mp4": (b"\0\0\0\x18ftypmp42", "a video", "ffmpeg"),
-    "a.mov": (b"\0\0\0\x14ftypqt  ", "a video", "ffmpeg"),
     "a.avi": (b"RIFF\x10\0\0\0AVI LIST", "a video", "ffmpeg"),
     "a.mkv": (b"\x1aE\xdf\xa3", "a video", "ffmpeg"),
 }

@@ -26,54 +26,13 @@ def run(tmp_path_factory):
 
 
 @pytest.fixture
-def memory():
-    system = fsspec.filesystem("memory")
-    yield "memory://bench", system
-    system.rm("/bench", recursive=True)
-
-
-@pytest.fixture
-def s3(monkeypatch):
-    """A server that speaks S3 and that nobody here wrote."""
-    server = pytest.importorskip("moto.server")
-    s3fs = pytest.importorskip("s3fs")
-    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-        monkeypatch.setenv(name, "testing")
-    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-    served = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    served.start()
-    host, port = served.get_host_and_port()
-    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-    s3fs.S3FileSystem.clear_instance_cache()
-    system = s3fs.S3FileSystem()
-    system.mkdir("bench")
-    yield "s3://bench", system
-    system.rm("bench", recursive=True)
-    s3fs.S3FileSystem.clear_instance_cache()
-    served.stop()
-
-
-@pytest.fixture(
-    params=[
-        "memory",
-        pytest.param(
-            "s3",
-            marks=[
-                pytest.mark.slow,
-                # of boto and of its server
-                pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-                pytest.mark.filterwarnings("ignore::ResourceWarning"),
-                pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
-            ],
-        ),
-    ]
-)
-def remote(request, run):
+def remote(run):
     """URL of a folder with two copies of a run."""
-    url, system = request.getfixturevalue(request.param)
+    url, system = "memory://bench", fsspec.filesystem("memory")
     for name in ("run2", "run10"):
         system.put(str(run), f"{url}/{name}", recursive=True)
-    return url, system
+    yield url, system
+    system.rm("/bench", recursive=True)
 
 
 def found_views(folder):

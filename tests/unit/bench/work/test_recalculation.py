@@ -225,14 +225,6 @@ def test_a_second_command_in_the_same_folder_is_refused(folders, tmp_path):
         ResultsFolders(tmp_path / "foreign", None)
 
 
-def test_runs_are_found_in_natural_order(folders, tmp_path):
-    root = folders[0].parent
-    for folder in folders:
-        (folder / "journal.jsonl").write_text("")
-    names = [Place(place.name).base_name for place in find_places([str(root), str(folders[0])])]
-    assert names == ["cam1", "cam2", "cam10"]
-
-
 def test_the_command_gives_the_same_to_the_last_digit_by_processes(folders):
     options = ["--image-size", "1280x720", "--model", "spherical", "--distortion", "k1", "--workers", "2", "--json"]  # fmt: skip
     shutil.rmtree(folders[1])

@@ -51,15 +51,6 @@ def only(outbox):
     return state, delivery
 
 
-def test_a_message_is_put_once_and_delivered_once(outbox):
-    receiver = Receiver()
-    for _ in range(3):
-        outbox.put(message(), [MAIL, CHAT])
-        assert deliver(outbox, receiver) == 0
-    assert sorted(receiver.taken, key=str) == sorted([("k1", MAIL), ("k1", CHAT)], key=str)
-    assert {state for state, _ in outbox.deliveries()} == {"sent"}
-
-
 def test_what_does_not_go_through_is_tried_again_for_a_week_then_given_up_but_for_who_asks(outbox):
     outbox.put(message(), [MAIL])
     receiver = Receiver(failures=3)
