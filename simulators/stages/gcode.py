@@ -19,7 +19,7 @@ _WITHOUT_EFFECT: Final = {"G17", "G21", "G40", "G49", "G54", "G61", "G80", "G94"
 _GROUPS: Final = {
     **dict.fromkeys(("G0", "G1"), "motion"),
     **dict.fromkeys(("G90", "G91"), "distance"),
-    **dict.fromkeys(("G4", "G53"), "once"),
+    "G53": "once",
 }
 
 
@@ -37,7 +37,6 @@ class Block:
 
     motion: str | None = None  # "G0" or "G1"; the last one remains in force
     distance: str | None = None  # "G90" (absolute) or "G91" (relative); the last one remains in force
-    dwell_s: float | None = None  # Dwell time of G4, s
     feed: float | None = None  # Feed, units/min
     machine_coordinates: bool = False  # Whether the block contains G53
     targets: dict[str, float] = field(default_factory=dict)  # Coordinates by axis letter, units
@@ -56,7 +55,7 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
     """Parse a block, with or without comments and blanks.
 
     `GcodeError`: 1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of one group, 23
-    code is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time missing.
+    code is not a whole number, 24 two codes need the axes, 25 repeated letter.
 
     >>> parse_block("G90 g1 X-1.5 F600").targets
     {'X': -1.5}
@@ -74,14 +73,11 @@ def parse_block(line: str, axes: str = "XYZ") -> Block:
             raise GcodeError(4)
         else:
             values[letter] = value
-    if codes.get("once") == "G4" and "P" not in values:
-        raise GcodeError(28)
     return Block(
         motion=codes.get("motion"),
         distance=codes.get("distance"),
-        dwell_s=values["P"] if codes.get("once") == "G4" else None,
         feed=values.get("F"),
-        machine_coordinates=codes.get("once") == "G53",
+        machine_coordinates="once" in codes,
         targets={letter: values[letter] for letter in axes if letter in values},
     )
 

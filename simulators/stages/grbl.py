@@ -30,12 +30,7 @@ from simulators.world.trajectory import LoadTrajectory
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm", "Check", "Sleep"]
 
 SOFT_LIMITS, HOMING_ENABLED = 20, 22  # Numbers of GRBL's settings
-_HELP: Final = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
-_ZERO: Final = "0.000,0.000,0.000"
-_OFFSETS: Final = "".join(
-    f"[{name}:{_ZERO}]\r\n" for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92")
-)
-"""Work offsets, which are all zero."""
+_HELP: Final = "[HLP:$$ $I $N $x=val $Nx=line $J=line $SLP $C $X $H ? ctrl-x]\r\n"
 _RESET_BYTE: Final = 0x18  # Ctrl-X
 _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
 _MAX_LINE: Final = 79  # The firmware's buffer of 80 with its end
@@ -44,10 +39,6 @@ _PAUSE_S: Final = 0.5
 
 #: Fields that only some status reports contain, by the number of the report modulo ten.
 _EXTRA_FIELDS: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
-
-
-class Answered(Exception):
-    """The line has been answered already."""
 
 
 class Firmware(NamedTuple):
@@ -108,8 +99,6 @@ class GrblController(Unit):
         self._reset_state("Alarm" if self.settings[HOMING_ENABLED] else "Idle")
         self._real_time: Mapping[int, Callable[[], None]] = {
             ord("?"): self._report,
-            ord("!"): self._hold,
-            ord("~"): self._resume,
             _RESET_BYTE: self._reset,
             0x85: self._cancel_jog,
         }
@@ -127,8 +116,6 @@ class GrblController(Unit):
         self._state: State = state
         self._must_reset = self._owes_ok = False
         self._pause: _Pause | None = None
-        self._dwell_s: float | None = None
-        self._dwell_until_s: float | None = None
         self._motion, self._distance, self._feed = "G0", "G90", 0.0
         self._output += f"\r\n{self.firmware.welcome}\r\n" + (_LOCKED if state == "Alarm" else "")
 
@@ -167,8 +154,6 @@ class GrblController(Unit):
                 line = strip_line(line)
             try:
                 self._execute(line)
-            except Answered:
-                continue
             except GcodeError as error:
                 self._output += f"{error}\r\n"
             else:
@@ -176,7 +161,7 @@ class GrblController(Unit):
                     self._output += "ok\r\n"
 
     def _waiting(self) -> bool:
-        return self._state in {"Home", "Sleep"} or self._dwell_s is not None or self._pause is not None
+        return self._state in {"Home", "Sleep"} or self._pause is not None
 
     # ------------------------------------------------------------------ lines
     def _execute(self, line: str) -> None:
@@ -201,15 +186,13 @@ class GrblController(Unit):
 
     def _block(self, block: Block) -> None:
         motion, feed = block.motion or self._motion, self._feed if block.feed is None else block.feed
-        if motion == "G1" and not feed and block.targets and block.dwell_s is None:
+        if motion == "G1" and not feed and block.targets:
             raise GcodeError(22)
         self._motion, self._feed = motion, feed
         self._distance = block.distance or self._distance
         if self._state == "Check":
             return
-        if block.dwell_s is not None:
-            self._dwell_s = block.dwell_s
-        elif block.targets:
+        if block.targets:
             relative = self._distance == "G91" and not block.machine_coordinates
             targets = self._targets(block, relative=relative)
             if self.settings[SOFT_LIMITS] and not self._planner.inside(targets):
@@ -225,7 +208,7 @@ class GrblController(Unit):
         if not command.startswith("="):
             raise GcodeError(3)
         block = parse_block(command[1:], self._letters)
-        if block.motion or block.dwell_s is not None:
+        if block.motion:
             raise GcodeError(16)
         if not block.feed:
             raise GcodeError(22)
@@ -250,7 +233,6 @@ class GrblController(Unit):
         always: dict[str, Callable[[], None]] = {
             "": lambda: self._say(_HELP),
             "$": self._list,
-            "G": self._modes,
             "C": self._check,
             "X": self._unlock,
         }
@@ -262,7 +244,6 @@ class GrblController(Unit):
         if self._state not in {"Idle", "Alarm"}:
             raise GcodeError(8)
         at_rest: dict[str, Callable[[], None]] = {
-            "#": lambda: self._say(f"{_OFFSETS}[TLO:0.000]\r\n[PRB:{_ZERO}:0]\r\n"),
             "H": self._home,
             "SLP": self._sleep,
             "I": lambda: self._say(self.firmware.build.format(self.name)),
@@ -272,13 +253,11 @@ class GrblController(Unit):
             at_rest[command]()
         elif command.startswith("I="):
             self.name = command[2:]
-        elif command in {"RST=$", "RST=*", "RST=#"}:
-            self._restore(only_offsets=command[-1] == "#")
         elif command[0] == "N" and self._state != "Idle":
             raise GcodeError(8)
         elif command in {"N0=", "N1="}:  # start-up lines with content are not simulated
             return
-        elif command[0] in "#HSIR":
+        elif command[0] in "HSI":
             raise GcodeError(3)
         elif command[0] == "/":
             self._configured(command)
@@ -296,10 +275,6 @@ class GrblController(Unit):
     def _say(self, text: str) -> None:
         self._output += text
 
-    def _modes(self) -> None:
-        modes = f"{self._motion} G54 G17 G21 {self._distance} G94 M5 M9 T0 F{self._feed:g} S0"
-        self._output += f"[GC:{modes}]\r\n"
-
     def _list(self) -> None:
         if self._state == "Run":
             raise GcodeError(8)
@@ -313,11 +288,7 @@ class GrblController(Unit):
             self._output += "[MSG:Caution: Unlocked]\r\n"
 
     def _check(self) -> None:
-        """Begin to check lines without motion; the same command ends this by a restart."""
-        if self._state == "Check":
-            self._output += "[MSG:Disabled]\r\nok\r\n"
-            self._reset_state("Idle")
-            raise Answered
+        """Begin to check lines without motion; a reset ends this."""
         if self._state != "Idle":
             raise GcodeError(8)
         self._state = "Check"
@@ -327,13 +298,6 @@ class GrblController(Unit):
         """Serve nothing but status reports, until a reset."""
         self._state = "Sleep"
         self._output += "ok\r\n[MSG:Sleeping]\r\n"
-
-    def _restore(self, *, only_offsets: bool) -> None:
-        if not only_offsets:
-            self.settings.update(self._factory)
-        self._output += "[MSG:Restoring defaults]\r\nok\r\n"
-        self._reset_state(self._state)
-        raise Answered
 
     def _set(self, command: str) -> None:
         number, value = parse_setting(command)
@@ -365,7 +329,6 @@ class GrblController(Unit):
             self._finish_homing(now)
         if self._state in {"Run", "Jog"} and self._planner.done(now):
             self._state = "Idle"
-        self._finish_dwell(now)
         self._take_lines()
 
     def _finish_homing(self, now: float) -> None:
@@ -375,16 +338,6 @@ class GrblController(Unit):
         else:
             self._planner.forget()
             self._restart_after_alarm(9, "ok\r\n")
-
-    def _finish_dwell(self, now: float) -> None:
-        """Answer a dwell at its end; it begins when all earlier motions have ended."""
-        if self._dwell_s is None or not self._planner.done(now):
-            return
-        if self._dwell_until_s is None:
-            self._dwell_until_s = now + self._dwell_s
-        if now >= self._dwell_until_s:
-            self._dwell_s = self._dwell_until_s = None
-            self._output += "ok\r\n"
 
     def _alarm(self, number: int) -> None:
         """Tell an alarm of a limit; the board then waits for a reset."""
@@ -402,24 +355,11 @@ class GrblController(Unit):
     # ------------------------------------------------------------------ real-time bytes
     def _report(self) -> None:
         now = self._clock()
-        state: str = self._state
-        if self._planner.held:
-            state = "Hold:1" if self._planner.moving(now) else "Hold:0"
-        elif self._planner.reports_false_idle(now):
-            state = "Idle"
+        state = "Idle" if self._planner.reports_false_idle(now) else self._state
         position = ",".join(f"{value:.3f}" for value in self._planner.position(now))
         extra = _EXTRA_FIELDS.get(self._reports % 10, "")
         self._reports += 1
         self._output += f"<{state}|MPos:{position}|FS:{self._planner.feed(now):.0f},0{extra}>\r\n"
-
-    def _hold(self) -> None:
-        if self._state == "Run":
-            self._planner.hold(self._clock())
-        elif self._state == "Jog":
-            self._planner.cancel(self._clock())
-
-    def _resume(self) -> None:
-        self._planner.resume(self._clock())
 
     def _cancel_jog(self) -> None:
         if self._state == "Jog":
@@ -433,7 +373,7 @@ class GrblController(Unit):
             self._planner.halt(now)
             self._restart_after_alarm(6 if homing else 3, "ok\r\n" if homing else "")
             return
-        if self._dwell_s is not None or self._owes_ok:
+        if self._owes_ok:
             self._output += "ok\r\n"
         self._reset_state("Alarm" if self._state in {"Alarm", "Sleep"} else "Idle")
 

@@ -1,7 +1,7 @@
 """Motions of a GRBL controller: a queue of targets, and axes that start and arrive together.
 
 Settings are known by number. Machine coordinates are in units from the switch, negative away from it; feeds are in
-units/min. The planner handles hold and resume. Lines and states are the controller's task. Reference: GRBL 1.1,
+units/min. Lines and states are the controller's task. Reference: GRBL 1.1,
 ``planner.c`` and ``settings.h``.
 """
 
@@ -110,9 +110,7 @@ class Planner:
             model_letter: Axis(model.mechanics, now_s, partial(publish, model_letter))
             for model_letter, model in models.items()
         }
-        self.held = False
         self._queue: deque[Motion] = deque()
-        self._current: Motion | None = None
 
     # ------------------------------------------------------------------ queries
     def moving(self, now: float) -> bool:
@@ -124,8 +122,8 @@ class Planner:
         return any(axis.busy(now) and not axis.reports_busy(now) for axis in self.axes.values())
 
     def done(self, now: float) -> bool:
-        """Return whether nothing moves and the queue is empty; False during a hold too."""
-        return not self._queue and not self.held and not self.moving(now)
+        """Return whether nothing moves and the queue is empty."""
+        return not self._queue and not self.moving(now)
 
     def position(self, now: float) -> list[float]:
         """Return the machine position of three axes, units; 0 for missing axes."""
@@ -153,21 +151,8 @@ class Planner:
 
     def go_on(self, now: float) -> None:
         """Start the next motion if the last one has ended."""
-        while self._queue and not self.held and not self.moving(now):
-            self._current = self._queue.popleft()
-            self._start(self._current, now)
-
-    def hold(self, now: float) -> None:
-        """Brake, and keep the rest of the queue (feed hold)."""
-        if self._current is not None and not self.held:
-            self._queue.appendleft(self._current)
-        self.held = True
-        self._brake(now)
-
-    def resume(self, now: float) -> None:
-        """Continue after a hold."""
-        self.held = False
-        self.go_on(now)
+        while self._queue and not self.moving(now):
+            self._start(self._queue.popleft(), now)
 
     def cancel(self, now: float) -> None:
         """Brake, and empty the queue."""
@@ -177,7 +162,6 @@ class Planner:
     def forget(self) -> None:
         """Drop all motions that have not started."""
         self._queue.clear()
-        self.held = False
 
     def halt(self, now: float) -> None:
         """Cut the current of the motors: they run on a little, and steps are lost."""

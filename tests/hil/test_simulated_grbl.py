@@ -61,20 +61,6 @@ def homed(board: Board) -> Board:
     return board
 
 
-def test_a_hold_brakes_and_a_start_goes_on(homed: Board):
-    homed.say("G1 X-11 F600")
-    homed.wait(0.5)
-    homed.press(b"!")
-    assert homed.report()[0] == "Hold:1"
-    homed.wait()
-    state, x, _ = homed.report()
-    assert state == "Hold:0"
-    assert -11.0 < x < -1.0
-    homed.press(b"~")
-    homed.wait()
-    assert homed.report() == ("Idle", -11.0, -1.0)
-
-
 def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
     homed.say("G0 X-21")
     homed.wait(0.4)
@@ -95,13 +81,11 @@ def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
         ("G0 X1..2", "error:1"),
         ("G1.5 X1", "error:23"),
         ("F-5", "error:4"),
-        ("G4 P-1", "error:4"),
         ("G21 G90 G91", "error:21"),
         ("Q1", "error:20"),
         ("G2 X1", "error:20"),
         ("G0 G1 X1", "error:24"),
         ("G0 X1 X2", "error:25"),
-        ("G4", "error:28"),
         ("$Q", "error:2"),
         ("$X1", "error:3"),
         ("$100", "error:3"),
@@ -119,8 +103,6 @@ def test_a_reset_in_motion_is_an_alarm_and_loses_steps(homed: Board):
         ("$300=1", "error:3"),
         ("$HX", "error:3"),
         ("$SLPX", "error:3"),
-        ("$RST=x", "error:3"),
-        ("$J=G4 P1 F100", "error:16"),
         ("F100", "ok"),
         ("(a comment) ; and more", "ok"),
         ("", "ok"),

@@ -32,7 +32,7 @@ WORDS: dict[str, list[bytes]] = {
         "/1 1 |/0 0 7 |home|move abs |move vel |set maxspeed |set limit.max |get pos"
         "|tools parking park|stop|warnings clear|system reset|set pos |\n|:00| "
     ),
-    "grbl": words("$H|$X|$$|$J=|G0 |G1 |G4 P|X|Y|F|G91 |$110=|$120=|$100=|\n|?|!|~|\x18|\x85"),
+    "grbl": words("$H|$X|$$|$J=|G0 |G1 |X|Y|F|G91 |$110=|$120=|$100=|\n|?|\x18|\x85"),
     "esp301": words("1MO|1OR|1PA|1PR|2PA|1VA|1AC|1DH|1WS|TB?|1TP|RS|AB|;|\r"),
     "keysight": words("FREQ |VOLT:HIGH |VOLT |FUNC:SQU:DCYC |OUTP |OUTP:LOAD |SYST:ERR?|*RST|;|:|,|\n|?"),
     "siglent": words("C1:BSWV |FRQ,|HLEV,|LLEV,|DUTY,|C1:OUTP LOAD,|C1:BSWV?|,|;|\n"),
