@@ -94,13 +94,10 @@ class GardasoftRt(LightDriver):
             "VR": lambda _words: self._version,
             "TT": self._set_trigger,
             "RT": self._set_pulse,
-            "RS": lambda words: self._set_level(words, CONTINUOUS),
-            "RW": lambda words: self._set_level(words, SWITCHED),
-            "TR": self._fire,
+            "RS": self._set_level,
             "ST": self._status,
             "GT": self._set_events,
             "GR": self._clear,
-            "AW": lambda words: _expect_at_most(words, 0),
         }
         self._power_up()
 
@@ -170,17 +167,13 @@ class GardasoftRt(LightDriver):
         self.outputs[channel] = Output(PULSE, percent, width, delay, retrigger)
         return self._apply(warned=too_wide or too_late or too_bright)
 
-    def _set_level(self, words: list[str], mode: int) -> str:
-        if len(words) < 2 or len(words) > (2 if mode == CONTINUOUS else 4):
+    def _set_level(self, words: list[str]) -> str:
+        if len(words) != 2:
             raise _RtError(4)
         channel = _channel(words[0])
         percent, warned = _clipped(_number(words[1]), (0.0, min(100.0, self._max_percent)))
-        self.outputs[channel] = replace(self.outputs[channel], mode=mode, percent=percent)
+        self.outputs[channel] = replace(self.outputs[channel], mode=CONTINUOUS, percent=percent)
         return self._apply(warned=warned)
-
-    def _fire(self, words: list[str]) -> str:
-        _channel(words[0] if words else "")
-        return _expect_at_most(words, 1)
 
     def _status(self, words: list[str]) -> str:
         _expect_at_most(words, 1)

@@ -29,7 +29,6 @@ from simulators.lights.scpi import (
     ScpiError,
     boolean,
     choice,
-    expect_no_arguments,
     number,
     only_argument,
 )
@@ -37,7 +36,7 @@ from simulators.world.world import LightState, SyncLine
 
 Shape = Literal["square", "sine", "dc"]
 """Waveforms; ``dc`` is a constant level at the offset."""
-Setting = Literal["frequency", "duty", "amplitude", "offset", "high", "low"]
+Setting = Literal["frequency", "duty", "offset", "high", "low"]
 
 #: Reason why a value was clipped; empty if it was not.
 ClipReason = Literal["", "lower limit", "upper limit", "conflict"]
@@ -54,21 +53,16 @@ _MIN_AMPLITUDE_V: Final = 0.002
 
 #: Size of the input buffer, bytes.
 _MAX_MESSAGE: Final = 2048
-_HERTZ: Final = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
-_VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
-_PERCENT: Final = {"PCT": 1.0, "%": 1.0}
-_OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
 _LOAD_OHM: Final = (1.0, 10_000.0)
 
-_VALUES: Final[tuple[tuple[str, Setting, dict[str, float], str], ...]] = (
-    ("FREQuency", "frequency", _HERTZ, "frequency_hz"),
-    ("FUNCtion:SQUare:DCYCle", "duty", _PERCENT, "duty_percent"),
-    ("VOLTage", "amplitude", _VOLTS, "amplitude_v"),
-    ("VOLTage:OFFSet", "offset", _VOLTS, "offset_v"),
-    ("VOLTage:HIGH", "high", _VOLTS, "high_v"),
-    ("VOLTage:LOW", "low", _VOLTS, "low_v"),
+_VALUES: Final[tuple[tuple[str, Setting, str], ...]] = (
+    ("FREQuency", "frequency", "frequency_hz"),
+    ("FUNCtion:SQUare:DCYCle", "duty", "duty_percent"),
+    ("VOLTage:OFFSet", "offset", "offset_v"),
+    ("VOLTage:HIGH", "high", "high_v"),
+    ("VOLTage:LOW", "low", "low_v"),
 )
-"""Header, name, units, and attribute of `Settings`, of each number."""
+"""Header, name, and attribute of `Settings`, of each number."""
 
 _SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
 
@@ -173,7 +167,6 @@ class Generator(LightDriver):
         ranges: dict[Setting, tuple[float, float]] = {
             "frequency": _FREQUENCY_HZ,
             "duty": _DUTY_PERCENT,
-            "amplitude": (least, 2.0 * most),
             "offset": (-most, most) if self.settings.shape == "dc" else (half - most, most - half),
             "high": (least - most, most),
             "low": (-most, most - least),
@@ -190,7 +183,7 @@ class Generator(LightDriver):
 
     # ------------------------------------------------------------------ inside
     def _set_level(self, name: Setting, value: float) -> ClipReason:
-        """Set both levels from amplitude, offset, high or low level; the other level gives way if necessary."""
+        """Set both levels from offset, high or low level; the other level gives way if necessary."""
         now, share = self.settings, _voltage_share(self.settings.load_ohm)
         least = _MIN_AMPLITUDE_V * share
         if name == "offset" and now.shape == "dc":
@@ -199,7 +192,6 @@ class Generator(LightDriver):
             self.change(low_v=value - half, high_v=value + half)
             return ""
         low_v, high_v = {
-            "amplitude": (now.offset_v - value / 2.0, now.offset_v + value / 2.0),
             "offset": (value - now.amplitude_v / 2.0, value + now.amplitude_v / 2.0),
             "high": (min(now.low_v, value - least), value),
             "low": (value, max(now.high_v, value + least)),
@@ -291,17 +283,12 @@ class ScpiGenerator(Generator):
         tree, model = self._tree, self.model
         source, output = ("[:SOURce#]", "OUTPut#") if model.numbered_channels else ("[:SOURce]", "OUTPut")
         tree.add("*IDN", None, lambda _: self._identity())
-        tree.add("*RST", self._reset_all, None)
         tree.add("*CLS", lambda _: tree.errors.clear(), None)
-        tree.add("*OPC", expect_no_arguments, lambda _: "1")
-        tree.add("*WAI", expect_no_arguments, None)
         if model.error_queue:
             tree.add("SYSTem:ERRor[:NEXT]", None, lambda _: tree.errors.next())
-        for word in ("REMote", "LOCal", "RWLock"):
-            tree.add(f"SYSTem:{word}", expect_no_arguments, None)
         tree.add(f"{source}:FUNCtion[:SHAPe]", self._set_shape, lambda _: self._shape())
-        for header, name, units, attribute in _VALUES:
-            self._register_value(f"{source}:{header}", name, units, attribute)
+        for header, name, attribute in _VALUES:
+            self._register_value(f"{source}:{header}", name, attribute)
         tree.add(f"{source}:VOLTage:UNIT", self._set_unit, lambda _: "VPP")
         tree.add(
             f"{output}[:STATe]",
@@ -340,32 +327,17 @@ class ScpiGenerator(Generator):
             lambda _: self._format_switch(name in self.modulations),
         )
 
-    def _register_value(self, header: str, name: Setting, units: dict[str, float], attribute: str) -> None:
-        """Register a number: command, query, and query of a bound, as in ``FREQ? MAX``."""
-
-        def set_value(arguments: list[str]) -> None:
-            word = only_argument(arguments)
-            bound = _bound(word)
-            value = number(word, units) if bound is None else self.bounds(name)[bound]
-            _raise_if_clipped(self.set(name, value))
-
-        def read_value(arguments: list[str]) -> str:
-            if not arguments:
-                return _format_number(getattr(self.settings, attribute))
-            bound = _bound(only_argument(arguments))
-            if bound is None:
-                raise ScpiError(-224)
-            return _format_number(self.bounds(name)[bound])
-
-        self._tree.add(header, set_value, read_value)
+    def _register_value(self, header: str, name: Setting, attribute: str) -> None:
+        """Register a number: command and query."""
+        self._tree.add(
+            header,
+            lambda words: _raise_if_clipped(self.set(name, number(only_argument(words)))),
+            lambda _: _format_number(getattr(self.settings, attribute)),
+        )
 
     def _identity(self) -> str:
         model = self.model
         return f"{model.maker},{model.name},{model.serial},{model.firmware}"
-
-    def _reset_all(self, arguments: list[str]) -> None:
-        expect_no_arguments(arguments)
-        self.reset()
 
     def _set_unit(self, arguments: list[str]) -> None:
         """Take the unit of the amplitude; Vrms and dBm are not simulated."""
@@ -383,7 +355,7 @@ class ScpiGenerator(Generator):
         if word.upper() in {"INF", "INFINITY"}:
             self.set_load(math.inf)
             return
-        asked = number(word, _OHMS)
+        asked = number(word)
         self.set_load(min(max(asked, _LOAD_OHM[0]), _LOAD_OHM[1]))
         _raise_if_clipped(
             "lower limit" if asked < _LOAD_OHM[0] else "upper limit" if asked > _LOAD_OHM[1] else ""
@@ -399,11 +371,6 @@ class ScpiGenerator(Generator):
         if self.model.numbered_channels:
             return "ON" if on else "OFF"
         return str(int(on))
-
-
-def _bound(word: str) -> int | None:
-    """Return 0 for the word that means the lower bound, 1 for the upper bound, None for any other word."""
-    return {"MIN": 0, "MINIMUM": 0, "MAX": 1, "MAXIMUM": 1}.get(word.upper())
 
 
 def _raise_if_clipped(held: ClipReason) -> None:

@@ -18,7 +18,7 @@ Setter = Callable[[list[str]], None]
 Getter = Callable[[list[str]], str]
 
 _NODE = re.compile(r"(\[)?:?(\*?[A-Z]+)([a-z]*)(#)?\]?")
-_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)\s*([A-Z%]*)", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?", re.IGNORECASE)
 
 _ERRORS = {
     0: "No error",
@@ -26,7 +26,6 @@ _ERRORS = {
     -108: "Parameter not allowed",
     -109: "Missing parameter",
     -113: "Undefined header",
-    -131: "Invalid suffix",
     -221: "Settings conflict",
     -222: "Data out of range",
     -224: "Illegal parameter value",
@@ -163,32 +162,18 @@ def only_argument(arguments: Sequence[str]) -> str:
     return arguments[0]
 
 
-def expect_no_arguments(arguments: Sequence[str]) -> None:
-    """Check that a command has no arguments; `ScpiError` -108 if there are any."""
-    if arguments:
-        raise ScpiError(-108)
-
-
-def number(word: str, unit_factors: dict[str, float]) -> float:
-    """Read a number with an optional unit; `ScpiError` -104 for no number, -131 for an unknown unit.
-
-    >>> number("1.5 kHz", {"HZ": 1.0, "KHZ": 1e3})
-    1500.0
-    """
-    match = _NUMBER.fullmatch(word.strip())
-    if match is None:
+def number(word: str) -> float:
+    """Read a number without a unit; `ScpiError` -104 for anything else."""
+    if not _NUMBER.fullmatch(word):
         raise ScpiError(-104)
-    unit = match[2].upper()
-    if unit and unit not in unit_factors:
-        raise ScpiError(-131)
-    return float(match[1]) * (unit_factors[unit] if unit else 1.0)
+    return float(word)
 
 
 def boolean(word: str) -> bool:
     """Read ON, OFF or a number; only 0 is off."""
     if word.upper() in {"ON", "OFF"}:
         return word.upper() == "ON"
-    return number(word, {}) != 0.0
+    return number(word) != 0.0
 
 
 def choice(word: str, choices: Sequence[str]) -> str:

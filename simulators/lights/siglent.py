@@ -28,7 +28,6 @@ _SIGLENT_SHAPES: Final[Mapping[str, Shape]] = {"SQUARE": "square", "SINE": "sine
 _VALUES: Final[Mapping[str, Setting]] = {
     "FRQ": "frequency",
     "DUTY": "duty",
-    "AMP": "amplitude",
     "OFST": "offset",
     "HLEV": "high",
     "LLEV": "low",

@@ -4,7 +4,7 @@
     nCC? CR              a query, answered by a line that ends in CR LF; nothing else is answered
 
 There is no checksum and no message id. A refused command gets no answer: its error (axis * 100 + number) waits in
-a queue for ``TE?`` or ``TB?``. Positions are in degrees, and those that are read come from the encoder. Motors are
+a queue for ``TB?``. Positions are in degrees, and those that are read come from the encoder. Motors are
 off at power-up and after each fault. What another client has set survives: the position at the reference (``SH``), a
 correction of the scale in percent (``CO``), and the profile (``TJ``: from 4 on, the axis follows another one, and
 moves of its own do nothing).
@@ -180,7 +180,7 @@ class EspController(Controller):
             return None
         number, name, rest = match[1], match[2].upper(), match[3]
         try:
-            if name in {"VE", "TE", "TB", "TS", "RS", "AB", "ST"} and not number:
+            if name in {"VE", "TB", "ST"} and not number:
                 return self._controller_command(name, now)
             return self._axis_command(number, name, rest, now)
         except EspError as error:
@@ -191,20 +191,11 @@ class EspController(Controller):
     def _controller_command(self, name: str, now: float) -> str | None:
         if name == "VE":
             return "ESP301 Version 3.0.1 6/1/99"
-        if name == "TE":
-            return str(self._errors.popleft() if self._errors else 0)
         if name == "TB":
             number = self._errors.popleft() if self._errors else 0
             return f"{number}, {int(now * 1000) % 10_000_000}, {error_text(number)}"
-        if name == "TS":
-            bits = sum(1 << (axis.number - 1) for axis in self.axes.values() if axis.axis.reports_busy(now))
-            return chr(0x40 | bits | (0x10 if any(axis.motor_on for axis in self.axes.values()) else 0))
-        if name == "RS":
-            self.restart(now)
-            return None
         for each_axis in self.axes.values():
             self._stop(each_axis, now)
-            each_axis.motor_on = each_axis.motor_on and name == "ST"
         return None
 
     # ------------------------------------------------------------------ commands to an axis
@@ -231,15 +222,10 @@ class EspController(Controller):
                 f"{esp_axis.model.name or 'URS75BCC'}, SN{esp_axis.model.serial}"
             ),
             "TP": lambda esp_axis, _rest, now: esp_axis.printed(esp_axis.axis.encoder(now) / esp_axis.scale),
-            "DP": lambda esp_axis, _rest, now: esp_axis.printed(
-                esp_axis.axis.rest_counter(now) / esp_axis.scale
-            ),
-            "TV": lambda esp_axis, _rest, now: f"{esp_axis.axis.velocity(now) / esp_axis.scale:.5f}",
             "MD": lambda esp_axis, _rest, now: str(int(not esp_axis.axis.reports_busy(now))),
             "MO": self._motor_on,
             "MF": self._motor_off,
-            "PA": lambda esp_axis, rest, now: self._move(esp_axis, rest, now, start=0.0),
-            "PR": self._move_by,
+            "PA": self._move,
             "OR": self._home,
             "DH": self._define_home,
             "ST": lambda esp_axis, _rest, now: self._stop(esp_axis, now),
@@ -281,26 +267,18 @@ class EspController(Controller):
         axis.motor_on = False
         return None
 
-    def _move_by(self, axis: EspAxis, rest: str, now: float) -> str | None:
-        return self._move(axis, rest, now, start=axis.axis.rest_counter(now) / axis.scale)
-
-    def _move(self, axis: EspAxis, rest: str, now: float, *, start: float) -> str | None:
-        scale = axis.scale
-        if rest == "?":
-            return f"{axis.axis.rest_counter(now) / scale:.5f}"
-        target = start + _number(rest)
+    def _move(self, axis: EspAxis, rest: str, now: float) -> None:
+        scale, target = axis.scale, _number(rest)
         self._require_motion_allowed(axis)
         if target > axis.settings["SR"]:
             raise EspError(6)
         if target < axis.settings["SL"]:
             raise EspError(7)
-        if axis.settings["TJ"] >= _FOLLOWS_ANOTHER:
-            return None
-        speed, acceleration = axis.settings["VA"] * scale, axis.settings["AC"] * scale
-        axis.axis.move_to(float(round(target * scale)), now, speed, acceleration)
-        return None
+        if axis.settings["TJ"] < _FOLLOWS_ANOTHER:
+            speed, acceleration = axis.settings["VA"] * scale, axis.settings["AC"] * scale
+            axis.axis.move_to(float(round(target * scale)), now, speed, acceleration)
 
-    def _home(self, axis: EspAxis, rest: str, now: float) -> str | None:
+    def _home(self, axis: EspAxis, rest: str, now: float) -> None:
         if rest not in {"", "0", "1", "2", "3", "4"}:
             raise EspError(1)
         self._require_motion_allowed(axis)
@@ -308,7 +286,6 @@ class EspController(Controller):
         speed = axis.settings["OH"] * scale
         axis.homing = True
         axis.axis.home(now, speed, speed / 10.0, axis.settings["AC"] * scale)
-        return None
 
     def _require_motion_allowed(self, axis: EspAxis) -> None:
         if not axis.motor_on:
@@ -316,13 +293,10 @@ class EspController(Controller):
         if axis.homing:
             raise EspError(30)
 
-    def _define_home(self, axis: EspAxis, rest: str, now: float) -> str | None:
-        if rest == "?":
-            return "0.00000"
+    def _define_home(self, axis: EspAxis, rest: str, now: float) -> None:
         value = (_number(rest) if rest else 0.0) * axis.scale
         axis.axis.set_counter(value, now)
         axis.axis.set_encoder(value, now)
-        return None
 
     def _stop(self, axis: EspAxis, now: float) -> None:
         if axis.axis.busy(now):

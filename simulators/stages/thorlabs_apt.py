@@ -37,7 +37,7 @@ _SERVO_PERIOD_S: Final = 2048.0 / 6.0e6  # 2048 ticks of a clock of 6 MHz
 _LONGEST: Final = 255  # Bytes of a message's data
 
 #: Settings that are kept as they come: length of their data by the id that sets them. The next ids ask and answer.
-_KEPT: Final = {0x0413: 14, 0x0416: 22, 0x0423: 16, 0x043A: 6, 0x0440: 14, 0x0445: 6, 0x0450: 6}
+_KEPT: Final = {0x0413: 14, 0x043A: 6, 0x0440: 14}
 
 _FORWARD_SWITCH, _REVERSE_SWITCH = 0x1, 0x2  # Status bits of the protocol, here and below
 _TURNS_FORWARD, _TURNS_BACK = 0x10, 0x20
@@ -133,7 +133,7 @@ class AptController(SingleController):
         if number == 0x0492:
             self._unanswered = 0
             return b""
-        if number in {0x0005, 0x0211, 0x0411, 0x040A, 0x0429, 0x0480, 0x0490} or number - 1 in _KEPT:
+        if number in {0x0005, 0x0211, 0x0411, 0x0429, 0x0480, 0x0490} or number - 1 in _KEPT:
             return self._tell(number, now)
         if number in _KEPT:
             if len(content) == _KEPT[number] and content[:2] == b"\x01\x00":
@@ -142,9 +142,6 @@ class AptController(SingleController):
             self._updates, self._updated_at_s = number == 0x0011, now
         elif number == 0x0210 and first == 1 and second in {1, 2}:
             self._enable(second == 1, now)
-        elif number in {0x0410, 0x0409} and len(content) == 6:
-            (value,) = struct.unpack("<i", content[2:])
-            (self.axis.set_counter if number == 0x0410 else self.axis.set_encoder)(float(value), now)
         elif self._enabled:
             self._command(number, first, second, content, now)
         return b""
@@ -156,9 +153,8 @@ class AptController(SingleController):
             if self.axis.busy(now):
                 self._motion = "stop"
                 self.axis.halt(now) if second == 1 else self.axis.stop(now, self._ramp()[1])
-        elif number in {0x0453, 0x0448}:
-            kept = content if len(content) == 6 else self._kept[0x0450 if number == 0x0453 else 0x0445]
-            channel, value = struct.unpack("<Hi", kept)
+        elif number in {0x0453, 0x0448} and len(content) == 6:
+            channel, value = struct.unpack("<Hi", content)
             if channel == 1:
                 self._move(value + (self._position(now) if number == 0x0448 else 0), now)
 
@@ -206,9 +202,8 @@ class AptController(SingleController):
             return self._information()
         if number == 0x0211:
             return self._short(0x0212, 1, 1 if self._enabled else 2)
-        if number in {0x0411, 0x040A}:
-            counts = self._position(now) if number == 0x0411 else self._encoder(now)
-            return self._long(number + 1, struct.pack("<Hi", 1, counts))
+        if number == 0x0411:
+            return self._long(0x0412, struct.pack("<Hi", 1, self._position(now)))
         if number == 0x0429:
             return self._long(0x042A, struct.pack("<HI", 1, self._bits(now)))
         if number - 1 in _KEPT:

@@ -26,16 +26,7 @@ from simulators.world.trajectory import LoadTrajectory
 MICROSTEPS: Final = 256
 
 #: Number of each command in the status field "last command" (MvCmdSts).
-COMMAND_NUMBERS: Final = {
-    "move": 1,
-    "movr": 2,
-    "left": 3,
-    "rigt": 4,
-    "stop": 5,
-    "home": 6,
-    "loft": 7,
-    "sstp": 8,
-}
+COMMAND_NUMBERS: Final = {"move": 1, "left": 3, "stop": 5, "home": 6, "sstp": 8}
 
 #: Layouts of settings, by the letters that follow g (get) or s (set); padding bytes are reserved.
 LAYOUTS: Final = {
@@ -60,7 +51,6 @@ _IS_HOMED, _ALARM, _SLIPPED = 0x20, 0x40, 0x80
 _ERROR_FLAGS: Final = {b"errc": 0x01, b"errd": 0x02, b"errv": 0x04}
 _RIGHT_EDGE, _LEFT_EDGE = 0x01, 0x02  # Switches that are reached
 _STOP_LEFT, _STOP_RIGHT = 0x02, 0x04  # Borders that stop
-_IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02  # What stays as it is when a position is set
 
 
 class ErrorReply(Exception):
@@ -88,10 +78,8 @@ def crc16(data: bytes) -> int:
 def data_length(letters: bytes) -> int:
     """Return the number of bytes after the letters of a command, CRC included; 0 for a command without data."""
     name = letters.decode("latin-1")
-    if name in {"move", "movr"}:
+    if name == "move":
         return 14
-    if name == "spos":
-        return 22
     if name[0] == "s" and name[1:] in LAYOUTS:
         return LAYOUTS[name[1:]][1] + 2
     return 0
@@ -186,22 +174,13 @@ class XimcController(SingleController):
             "gfwv": lambda _data, _now: struct.pack("<BBH", 4, 6, 12),
             "gets": lambda _data, now: self._status(now),
             "gpos": lambda _data, now: struct.pack("<ihq6x", *self._position(now), self._encoder(now)),
-            "spos": self._set_position,
-            "zero": lambda _data, now: self._set_position(struct.pack("<ihqB5x", 0, 0, 0, 0), now),
+            "zero": self._zero,
             "move": lambda data, now: self._move("move", to_counts(*struct.unpack("<ih6x", data)), now),
-            "movr": self._move_by,
             "left": lambda _data, now: self._move("left", self._border(0), now),
-            "rigt": lambda _data, now: self._move("rigt", self._border(1), now),
             "home": self._home,
             "stop": self._stop,
             "sstp": self._soft_stop,
-            "pwof": self._stop,
         }
-
-    def _move_by(self, data: bytes, now: float) -> bytes:
-        return self._move(
-            "movr", round(self.axis.counter(now)) + to_counts(*struct.unpack("<ih6x", data)), now
-        )
 
     def _move(self, name: str, target: int, now: float) -> bytes:
         """Move to a position; if a border lies before it, stop there and report the command as failed."""
@@ -253,12 +232,9 @@ class XimcController(SingleController):
         self._command = COMMAND_NUMBERS["sstp"]
         return b""
 
-    def _set_position(self, data: bytes, now: float) -> bytes:
-        position, fraction, encoder, ignore = struct.unpack("<ihqB5x", data)
-        if not ignore & _IGNORE_POSITION:
-            self.axis.set_counter(to_counts(position, fraction), now)
-        if not ignore & _IGNORE_ENCODER and self._counts_per_step:
-            self.axis.set_encoder(encoder * MICROSTEPS / self._counts_per_step, now)
+    def _zero(self, _data: bytes, now: float) -> bytes:
+        self.axis.set_counter(0.0, now)
+        self.axis.set_encoder(0.0, now)
         return b""
 
     def _set(self, name: str, content: bytes) -> bytes:

@@ -156,10 +156,8 @@ class ZaberController(Unit):
             "home": self._home,
             "move": self._move,
             "stop": self._stop,
-            "estop": self._estop,
             "warnings": self._warnings,
             "tools": self._tools,
-            "system": self._system,
         }
         if words[0] not in commands:
             raise CommandRejected("BADCOMMAND")
@@ -173,17 +171,8 @@ class ZaberController(Unit):
             **dict.fromkeys(("deviceid", "device.id"), lambda: "50958"),
             "system.serial": lambda: self.model.serial,
             "version": lambda: "7.38",
-            "version.build": lambda: "17403",
-            "system.axiscount": lambda: "1",
-            "system.voltage": lambda: "47.9",
-            "system.temperature": lambda: "31.4",
             "comm.packet.size.max": lambda: "80",
-            "comm.word.size.max": lambda: "50",
-            "comm.command.packets.max": lambda: "1",
-            "get.settings.max": lambda: "1",
             "pos": lambda: str(round(self.axis.counter(t_s))),
-            "vel": lambda: str(round(self.axis.velocity(t_s) * SPEED_UNIT)),
-            "limit.home.triggered": lambda: str(int(self.axis.referenced(t_s))),
             "parking.state": lambda: str(int(self._parked)),
         }
         if self.model.encoder:
@@ -228,30 +217,20 @@ class ZaberController(Unit):
         return "0"
 
     def _move(self, words: list[str], t_s: float) -> str:
-        if not words:
-            raise CommandRejected("BADCOMMAND")
-        kind, arguments = words[0], [_integer(word) for word in words[1:]]
         lowest, highest = self._settings["limit.min"], self._settings["limit.max"]
-        speed, acceleration = self._speed("maxspeed"), self._acceleration()
-        if kind in {"abs", "rel"} and 1 <= len(arguments) <= 3:
-            start = 0 if kind == "abs" else round(self.axis.counter(t_s))
-            target = start + arguments[0]
-            speed, acceleration = _motion_ramp(arguments[1:], speed, acceleration)
-        elif kind == "vel" and 1 <= len(arguments) <= 2:
-            target = highest if arguments[0] > 0 else lowest
-            speed = abs(arguments[0]) / SPEED_UNIT
-            acceleration = _motion_ramp([0, *arguments[1:]], speed, acceleration)[1]
-            if speed == 0.0:
-                return self._stop([], t_s)
-        elif kind in {"max", "min"} and len(arguments) <= 2:
-            target = highest if kind == "max" else lowest
-            speed, acceleration = _motion_ramp(arguments, speed, acceleration)
-        else:
-            raise CommandRejected("BADCOMMAND")
-        if not lowest <= target <= highest:
+        match words:
+            case ["abs", target]:
+                goal = _integer(target)
+            case ["rel", way]:
+                goal = round(self.axis.counter(t_s)) + _integer(way)
+            case ["max"]:
+                goal = highest
+            case _:
+                raise CommandRejected("BADCOMMAND")
+        if not lowest <= goal <= highest:
             raise CommandRejected("BADDATA")
         self._begin_motion(t_s)
-        self.axis.move_to(target, t_s, speed, acceleration)
+        self.axis.move_to(goal, t_s, self._speed("maxspeed"), self._acceleration())
         self._was_busy = self.axis.busy(t_s)
         return "0"
 
@@ -273,13 +252,6 @@ class ZaberController(Unit):
             self.axis.stop(t_s, self._acceleration())
         return "0"
 
-    def _estop(self, words: list[str], t_s: float) -> str:
-        _expect_no_arguments(words)
-        if self.axis.busy(t_s):
-            self._flags.add("NI")
-            self.axis.halt(t_s)
-        return "0"
-
     def _warnings(self, words: list[str], t_s: float) -> str:
         if words not in ([], ["clear"]):
             raise CommandRejected("BADCOMMAND")
@@ -289,22 +261,11 @@ class ZaberController(Unit):
         return " ".join([f"{len(flags):02d}", *flags])
 
     def _tools(self, words: list[str], t_s: float) -> str:
-        if words[:1] == ["echo"]:
-            return " ".join(words[1:]) or "0"
         if words not in (["parking", "park"], ["parking", "unpark"]):
             raise CommandRejected("BADCOMMAND")
         if self.axis.busy(t_s):
             raise CommandRejected("STATUSBUSY")
         self._parked = words[1] == "park"
-        return "0"
-
-    def _system(self, words: list[str], t_s: float) -> str:
-        if words == ["reset"]:
-            self.restart(t_s)
-        elif words == ["restore"]:
-            self._settings = factory_settings(self.model)
-        else:
-            raise CommandRejected("BADCOMMAND")
         return "0"
 
     # ------------------------------------------------------------------ events outside the protocol
@@ -350,17 +311,6 @@ def _integer(word: str) -> int:
 def _expect_no_arguments(words: list[str]) -> None:
     if words:
         raise CommandRejected("BADCOMMAND")
-
-
-def _motion_ramp(arguments: list[int], speed: float, acceleration: float) -> tuple[float, float]:
-    """Return speed and acceleration of one motion, as given after its target; 0 stands for the setting."""
-    if any(argument < 0 for argument in arguments):
-        raise CommandRejected("BADDATA")
-    if arguments and arguments[0]:
-        speed = arguments[0] / SPEED_UNIT
-    if len(arguments) > 1 and arguments[1]:
-        acceleration = arguments[1] * 10_000.0 / SPEED_UNIT
-    return speed, acceleration
 
 
 class Request(NamedTuple):

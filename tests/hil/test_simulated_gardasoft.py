@@ -43,7 +43,6 @@ def strobe() -> Strobe:
         ("RS1,120", "Err 5\r\n>"),
         ("TT2", "Err 1\r\n>"),
         ("TT", "Err 4\r\n>"),
-        ("AW", ">"),
         (
             "rs 1, 50 ; st 1",
             "CH 1, MD 0, S 50.0%, DL 0.005ms, PU 1.000ms, RT 0.000ms, IP 1, FL 0, CS 1.000A, RA 1.000A\r\n>",

@@ -29,20 +29,22 @@ NUMBERS = words("0|-1|1e999|nan|inf|1_0|99999999999999999999|.|-|0x10|5|-3.5")
 #: Messages of each kind's protocol, which are joined at random, with noise between.
 WORDS: dict[str, list[bytes]] = {
     "zaber": words(
-        "/1 1 |/0 0 7 |home|move abs |move vel |set maxspeed |set limit.max |get pos"
-        "|tools parking park|stop|warnings clear|system reset|set pos |\n|:00| "
+        "/1 1 |/0 0 7 |home|move abs |move rel |set maxspeed |set limit.max |get pos"
+        "|tools parking park|stop|warnings clear|set pos |\n|:00| "
     ),
     "grbl": words("$H|$X|$$|$J=|G0 |G1 |X|Y|F|G91 |$110=|$120=|$100=|\n|?|\x18|\x85"),
-    "esp301": words("1MO|1OR|1PA|1PR|2PA|1VA|1AC|1DH|1WS|TB?|1TP|RS|AB|;|\r"),
-    "keysight": words("FREQ |VOLT:HIGH |VOLT |FUNC:SQU:DCYC |OUTP |OUTP:LOAD |SYST:ERR?|*RST|;|:|,|\n|?"),
+    "esp301": words("1MO|1OR|1PA|2PA|1VA|1AC|1DH|1WS|TB?|1TP|;|\r"),
+    "keysight": words(
+        "FREQ |VOLT:HIGH |VOLT:OFFS |FUNC:SQU:DCYC |OUTP |OUTP:LOAD |SYST:ERR?|*CLS|;|:|,|\n|?"
+    ),
     "siglent": words("C1:BSWV |FRQ,|HLEV,|LLEV,|DUTY,|C1:OUTP LOAD,|C1:BSWV?|,|;|\n"),
     "flir_ptu": words("PP|TP|PO|PS|PA|PNU|RP|R|H|FT|LU|VS| |-"),
     "microcontroller": words("FREQ |DUTY |LEVEL |WAVE |ON*01|ID?*28|DOG |*|?|\n"),
-    "gardasoft": words("RT1,|RS1,|TT1,|ST1|TR|GR|,|us|;|\r"),
+    "gardasoft": words("RT1,|RS1,|TT1,|ST1|GR|,|us|;|\r"),
     "ximc": [
-        *words("gets|home|zero|stop|sstp|left|rigt|gmov|\0"),
+        *words("gets|home|zero|stop|sstp|left|gmov|\0"),
         with_crc(b"move", struct.pack("<ih6x", 2**31 - 1, 32767)),
-        with_crc(b"movr", struct.pack("<ih6x", -(2**31), 0)),
+        with_crc(b"move", struct.pack("<ih6x", -(2**31), 0)),
         with_crc(b"shom", struct.pack("<IBIBihH9x", 0, 0, 0, 0, 0, 0, 0)),
         with_crc(b"smov", struct.pack("<IBHHIBB9x", 2**32 - 1, 255, 65535, 1, 0, 0, 0)),
         with_crc(b"seds", struct.pack("<BBihih6x", 0, 0, 5, 0, -5, 0)),
@@ -60,7 +62,6 @@ WORDS: dict[str, list[bytes]] = {
             "10 02 01 02 50 01",
             "53 04 06 00 d0 01 01 00 ff ff ff 7f",
             "48 04 06 00 d0 01 01 00 00 00 00 80",
-            "10 04 06 00 d0 01 01 00 ff ff ff 7f",
             "13 04 0e 00 d0 01 01 00 00 00 00 00 00 00 00 00 ff ff ff ff",
             "13 04 ff ff d0 01",
         )
