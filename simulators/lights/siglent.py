@@ -20,10 +20,7 @@ _LONG: Final[Mapping[str, str]] = {
     "CMBN": "COMBINE",
     "INVT": "INVERT",
 }
-_SIGLENT_NUMBER: Final = re.compile(
-    r"([+-]?[0-9.]+(?:E[+-]?[0-9]+)?)(UHZ|MHZ|KHZ|HZ|MV|V|VPP|%|OHM)?", re.IGNORECASE
-)
-_FACTORS: Final = {"UHZ": 1e-6, "KHZ": 1e3, "MHZ": 1e6, "MV": 1e-3}
+_NUMBER: Final = re.compile(r"([+-]?[0-9]+\.?[0-9]*(?:E[+-]?[0-9]+)?)(?:HZ|V)?")
 _SIGLENT_SHAPES: Final[Mapping[str, Shape]] = {"SQUARE": "square", "SINE": "sine", "DC": "dc"}
 _VALUES: Final[Mapping[str, Setting]] = {
     "FRQ": "frequency",
@@ -81,12 +78,9 @@ class SiglentGenerator(Generator):
         if match is not None:
             words = [word.strip().upper() for word in (match[3] or "").split(",")]
             return self._ask(match[1].upper()) if match[2] else self._set(match[1].upper(), words)
-        if command.upper().startswith("CHDR "):
-            self._header = command.upper().removeprefix("CHDR ")
-        elif command.upper() == "*RST":
-            self.reset()
-        identity = f"Siglent Technologies,SDG1032X,{self._serial},1.01.01.33R6"
-        return {"*IDN?": identity, "*OPC?": "1"}.get(command.upper(), "")
+        if command.upper() == "*IDN?":
+            return f"Siglent Technologies,SDG1032X,{self._serial},1.01.01.33R6"
+        return ""
 
     def _ask(self, name: str) -> str:
         begins = {"SHORT": f"C1:{name} ", "LONG": f"C1:{_LONG.get(name, name)} "}.get(self._header, "")
@@ -150,11 +144,6 @@ class SiglentGenerator(Generator):
 
 
 def _siglent_number(text: str) -> float | None:
-    """Read a number with an optional unit; None if the text is no number."""
-    match = _SIGLENT_NUMBER.fullmatch(text)
-    if match is None:
-        return None
-    try:
-        return float(match[1]) * _FACTORS.get((match[2] or "").upper(), 1.0)
-    except ValueError:
-        return None
+    """Read a number, which may end in its unit; None if the text is no number."""
+    match = _NUMBER.fullmatch(text)
+    return float(match[1]) if match else None

@@ -118,7 +118,7 @@ class PtuController(Controller):
         self._buffer = b""
         self._banner = b"### Pan-Tilt Controller ###\r\n"
         self._waiting: deque[str] = deque()
-        self._resetting: tuple[str, list[PtuAxis]] | None = None
+        self._resetting: list[PtuAxis] = []
         self._pending = b""
         self._echo = self._verbose = True
         self._limits = "factory"
@@ -130,10 +130,9 @@ class PtuController(Controller):
     def _answer(self, now: float) -> bytes:
         *commands, rest = re.split(r"[ \r\n]", self._buffer.decode("ascii", "replace"))
         self._buffer = rest[-_MAX_LINE:].encode("ascii", "replace")
-        halting = [command for command in commands if command.upper() in {"H", "HP", "HT"}]
-        if halting and self._resetting is not None:
+        if "H" in map(str.upper, commands) and self._resetting:
             self._waiting.clear()
-            self._resetting = None
+            self._resetting = []
         self._waiting.extend(command for command in commands if command)
         return self._run(now)
 
@@ -149,17 +148,16 @@ class PtuController(Controller):
     def _run(self, now: float) -> bytes:
         answers, self._pending = self._pending, b""
         while True:
-            if self._resetting is not None:
-                _, axes = self._resetting
-                if any(axis.axis.reports_busy(now) for axis in axes):
+            if self._resetting:
+                if any(axis.axis.reports_busy(now) for axis in self._resetting):
                     break
                 self.before_reset = False
-                for ptu_axis in axes:
+                for ptu_axis in self._resetting:
                     if _STEPS[ptu_axis.chosen] != ptu_axis.factor:
                         ptu_axis.count_in(ptu_axis.chosen)
-                hits = "".join(f"!{axis.letter}!{axis.letter}" for axis in reversed(axes))
+                hits = "".join(f"!{axis.letter}!{axis.letter}" for axis in reversed(self._resetting))
                 answers += f"{hits}*\r\n".encode("ascii", "replace")
-                self._resetting = None
+                self._resetting = []
             if not self._waiting:
                 break
             answers += self._execute(self._waiting.popleft(), now)
@@ -171,29 +169,26 @@ class PtuController(Controller):
             answer = self._said(command.upper(), now)
         except _PtuError as error:
             answer = f"! {error}"
-        end = "" if self._resetting is not None else "\r\n"
+        end = "" if self._resetting else "\r\n"
         return f"{echo}{answer}{end}".encode("ascii", "replace")
 
     # ------------------------------------------------------------------ commands
     def _said(self, command: str, now: float) -> str:
-        if command in {"EE", "ED", "FV", "FT", "LE", "LD", "LU", "RD", "RE"}:
+        if command in {"EE", "ED", "FV", "FT", "LE", "LD", "LU"}:
             return self._set_mode(command)
         if command in {"CI", "CV", "I", "S", "A"} or command in self._step_modes:
             return self._set_control(command, now)
         if command in {"R", "RP", "RT"}:
             return self._reset(command, now)
-        if command in {"H", "HP", "HT"}:
-            return self._halt(command, now)
+        if command == "H":
+            return self._halt(now)
         answers = {
             "V": "Pan-Tilt Controller v3.1.2(C17/E), (C)1991-2014 FLIR Commercial Systems, Inc., All Rights Reserved",
-            "VV": "3.1.2",
-            "VM": "PTU-D48E",
             "VS": self.serial,
             "E": "Echoing ON" if self._echo else "Echoing OFF",
             "F": "ASCII verbose mode" if self._verbose else "ASCII terse mode",
             "L": f"Limit bounds are {'DISABLED' if self._limits == 'off' else 'ENABLED'} ({self._limits} limits)",
             "C": f"PTU is in {'pure velocity' if self._by_speed else 'independent'} speed control mode",
-            "O": "Input 24 VDC @ 86 degF",
         }
         if command in answers:
             return f"* {answers[command]}"
@@ -210,7 +205,7 @@ class PtuController(Controller):
             self._echo = command == "EE"
         elif command[0] == "F":
             self._verbose = command == "FV"
-        elif command[0] == "L":
+        else:
             self._limits = {"E": "factory", "D": "off", "U": "user"}[command[1]]
         return "*"
 
@@ -234,8 +229,8 @@ class PtuController(Controller):
 
     def _axis_command(self, axis: PtuAxis, name: str, value: int | None, now: float) -> str:
         axis_name = _NAMES[axis.letter]
-        if name in {"P", "O"} and value is not None:
-            return self._move(axis, value + (self._position(axis, now) if name == "O" else 0), now)
+        if name == "P" and value is not None:
+            return self._move(axis, value, now)
         if name == "S" and value is not None and self._by_speed:
             return self._run_at(axis, value, now)
         if name in axis.settings and value is not None:
@@ -317,17 +312,16 @@ class PtuController(Controller):
         axis.axis.move_to(target / axis.factor, now, speed / axis.factor, axis.settings["A"] / axis.factor)
 
     def _reset(self, command: str, now: float) -> str:
-        axes = [axis for letter, axis in self.axes.items() if command in {"R", f"R{letter}"}]
-        for axis in axes:
+        self._resetting = [axis for letter, axis in self.axes.items() if command in {"R", f"R{letter}"}]
+        for axis in self._resetting:
             speed = 20.0 * axis.model.mechanics.counts_per_deg
             axis.waiting = None
             axis.axis.home(now, speed, speed / 10.0, axis.settings["A"] / axis.factor)
-        self._resetting = command, axes
         return ""
 
-    def _halt(self, command: str, now: float) -> str:
-        for letter, axis in self.axes.items():
-            if command in {"H", f"H{letter}"} and axis.axis.busy(now):
+    def _halt(self, now: float) -> str:
+        for axis in self.axes.values():
+            if axis.axis.busy(now):
                 axis.axis.stop(now, axis.settings["A"] / axis.factor)
         return "*"
 

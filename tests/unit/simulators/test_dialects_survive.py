@@ -38,7 +38,7 @@ WORDS: dict[str, list[bytes]] = {
         "FREQ |VOLT:HIGH |VOLT:OFFS |FUNC:SQU:DCYC |OUTP |OUTP:LOAD |SYST:ERR?|*CLS|;|:|,|\n|?"
     ),
     "siglent": words("C1:BSWV |FRQ,|HLEV,|LLEV,|DUTY,|C1:OUTP LOAD,|C1:BSWV?|,|;|\n"),
-    "flir_ptu": words("PP|TP|PO|PS|PA|PNU|RP|R|H|FT|LU|VS| |-"),
+    "flir_ptu": words("PP|TP|PS|PA|PNU|RP|R|H|FT|LU|VS| |-"),
     "microcontroller": words("FREQ |DUTY |LEVEL |WAVE |ON*01|ID?*28|DOG |*|?|\n"),
     "gardasoft": words("RT1,|RS1,|TT1,|ST1|GR|,|us|;|\r"),
     "ximc": [
