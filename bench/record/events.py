@@ -304,13 +304,6 @@ class Solved(TypedDict):
     causes: NotRequired[Sequence[CauseData]]
 
 
-class WireLogState(TypedDict):
-    """How much a wire log held: its size, bytes, and the SHA-256 of these bytes."""
-
-    size: int
-    sha256: str
-
-
 class VerdictData(TypedDict):
     """The verdict on a calibration, as the head of its report has it."""
 
@@ -324,7 +317,6 @@ class Written(TypedDict):
     head: str  # Hash of the journal's last line when the results were made; the report prints it
     # SHA-256 by name of results.json, views.h5, report.html and each file of exports/.
     files: Mapping[str, str]
-    wire: Mapping[str, WireLogState]
     verdict: NotRequired[VerdictData]
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 from bench.record.journal import CAPTURES, Capture, Journal, stored_captures
 from bench.record.run_folder import PART, REPORT, RESULTS, RunFolder
@@ -16,7 +15,7 @@ from bench.record.storage import (
 )
 
 if TYPE_CHECKING:
-    from bench.record.events import Recovered, WireLogState
+    from bench.record.events import Recovered
 
 EXPORTS = "exports"
 VIEWS = "views.h5"
@@ -59,25 +58,9 @@ def _state_of(path: Path, capture: Capture | None) -> str:
     return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
 
 
-class WrittenFiles(TypedDict):
-    """Files and wire logs, as `bench.record.events.Written` holds them."""
-
-    files: dict[str, str]
-    wire: dict[str, WireLogState]
-
-
-def written_files(folder: Path) -> WrittenFiles:
-    """Return ``files``: SHA-256 by name of a run's results, and ``wire``: size and SHA-256 of its wire logs so far."""
+def written_files(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of a run's results, report, views and exports, by name."""
     with storage_errors(folder):
         exported = sorted(path.name for path in (folder / EXPORTS).glob("*"))
         names = [RESULTS, VIEWS, REPORT, *(f"{EXPORTS}/{name}" for name in exported)]
-        logs = sorted(path.name for path in folder.glob(f"{WIRE_LOG}*"))
-        return {
-            "files": {name: sha256_of(folder / name) for name in names if (folder / name).is_file()},
-            "wire": {name: _wire_state(folder / name) for name in logs},
-        }
-
-
-def _wire_state(path: Path) -> WireLogState:
-    data = path.read_bytes()  # at most 8 MB: full logs are rotated
-    return {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+        return {name: sha256_of(folder / name) for name in names if (folder / name).is_file()}

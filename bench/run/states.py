@@ -291,9 +291,12 @@ class StateWork:
         self._run.results.write(self._run.log, truth)
         outcome = self._run.results.outcome
         if outcome is not None and outcome.verdict is not None:  # a rehearsal writes results alone
-            written = written_files(self._run.folder.path)
-            head, verdict = outcome.journal_head, outcome.verdict
-            self._run.log.write(events.Written, head=head, verdict=verdict, **written)
+            self._run.log.write(
+                events.Written,
+                head=outcome.journal_head,
+                verdict=outcome.verdict,
+                files=written_files(self._run.folder.path),
+            )
 
     def aborting(self, *_: Any, **__: Any) -> None:
         """Stop the stage, switch the light off, stop the camera. Never raises."""

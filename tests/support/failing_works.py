@@ -29,6 +29,7 @@ from bench.evidence.states import standing_of
 from bench.evidence.verify import verify_folder
 from bench.solve.exports import camera_info
 from bench.solve.passports import sealed_bytes
+from bench.work.workers import Serial
 from calib.model.passport import Passport
 from calib.model.rotation import exp_map
 from calib.target import StarTarget
@@ -227,6 +228,7 @@ SIZE_OPTION = "--image-size 640x480"
 COMMANDS = {
     "target": "target -s simulated -o {out}.svg",
     "station new": "station new {out} --no-questions",
+    "station new --stand-ins": "station new {out} --stand-ins keysight",
     "passport make": f"passport make {{in}}/stars {SIZE_OPTION} -o {{out}}",
     "passport show --seal": "passport show {in}/draft.json --seal {out}",
     "calibrate": f"calibrate {{in}}/stars {SIZE_OPTION} -o {{out}}",
@@ -243,8 +245,10 @@ def patches():
     """What would take seconds a try, and writes nothing."""
     return [
         once("bench.solve.offline", "calibrate_paths"),
-        once("bench.work.tasks", "calibrate_sources"),
+        once("bench.work.recalculation", "calibrate_found"),
+        mock.patch("bench.commands.calibrate.open_workers", return_value=Serial()),
         once("bench.solve.offline_folder", "shown_files"),
+        once("bench.stations.practice", "draft_stand_ins"),
     ]
 
 

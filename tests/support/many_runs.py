@@ -93,7 +93,7 @@ def write_run(
                 coverage_factor=2.2, **dict(solved),
             )  # fmt: skip
             files = {"results.json": results_of(folder, serial, target)}
-            journal.append(Event.WRITTEN, head="", files=files, wire={})
+            journal.append(Event.WRITTEN, head="", files=files)
         if ended:
             journal.append(Event.RUN_ENDED, how=ended, why="")
     return folder

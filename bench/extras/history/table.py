@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.base.errors import UsageError
 from bench.extras.history.columns import COLUMNS, SCHEMA, Cell, Row
-from bench.record.storage import move_into_place, storage_errors
+from bench.record.storage import new_output, require_free, storage_errors
 
 ROWS_AT_ONCE = 500
 ENDINGS = (".parquet", ".csv")
@@ -32,28 +32,18 @@ def require_writable_table(path: Path) -> None:
             where=str(path),
             remedy="Choose a name that ends in .parquet or .csv.",
         )
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        what = "This is a folder, not a file." if path.is_dir() else "The folder of this file does not exist."
-        raise UsageError(what, where=str(path), remedy="Choose another name.")
+    require_free(path)
     if path.suffix.lower() == ".parquet":
         _pyarrow()
 
 
 def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> int:
-    """Write the table in place of an older file; Parquet keeps ``faults`` of the merging in its metadata."""
+    """Write a new table, and return its number of rows; Parquet keeps ``faults`` of the merging in its metadata."""
     require_writable_table(path)
-    part = path.with_name(f".{path.name}.part")
-    with storage_errors(path):
-        try:
-            count = (
-                _write_csv(part, rows)
-                if path.suffix.lower() == ".csv"
-                else _write_parquet(part, rows, arrow_schema(faults))
-            )
-            move_into_place(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-    return count
+    with new_output(path) as part, storage_errors(path):
+        if path.suffix.lower() == ".csv":
+            return _write_csv(part, rows)
+        return _write_parquet(part, rows, arrow_schema(faults))
 
 
 def _pyarrow() -> Any:

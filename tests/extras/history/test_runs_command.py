@@ -47,7 +47,7 @@ def test_a_fault_is_printed_and_the_table_is_written_all_the_same(tmp_path, caps
     status, (out, err) = ended(capsys, *TABLE, "--ledger", ledger, "--output", "runs.csv")
     assert (status, out.split(":")[1]) == (1, " 1 run, schema starbench/runs-table/1.\n")
     assert err.startswith("FAULT: run 2 of home (run-00002, finished): its folder ")
-    status, (out, _) = ended(capsys, *TABLE, "--ledger", ledger, "--output", "runs.csv", "--json")
+    status, (out, _) = ended(capsys, *TABLE, "--ledger", ledger, "--output", "again.csv", "--json")
     assert (status, json.loads(out)["rows"], len(json.loads(out)["faults"])) == (1, 1, 1)
 
 

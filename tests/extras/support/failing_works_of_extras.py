@@ -23,11 +23,9 @@ COMMANDS = {
     "certificate timestamp --request": "certificate timestamp {in}/sealed --request {out}",
     "undistort": "undistort {in}/left.yaml -o {out}",
     "rig": f"rig {{in}}/left {{in}}/right {BOARD} {SIZE_OPTION} -o {{out}}",
+    "history table": "history table {in}/runs -o {out}.csv",
 }  # fmt: skip
-GOING_ON = {
-    "convert many": "convert {in}/a.npz {in}/b.npz {out} --as csv --workers 1",
-    "history table": "history table {in}/runs -o {out}.csv",  # in place of an older file
-}
+GOING_ON = {"convert many": "convert {in}/a.npz {in}/b.npz {out} --as csv --workers 1"}
 
 
 class Issue:

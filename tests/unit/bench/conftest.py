@@ -103,7 +103,8 @@ def make_a_run(path, *, serial="00050423"):
     folder = RunFolder.create(path)
     poses = []
     documents = {name: f"{name} of a run\n".encode() for name in ("sequence.yaml", "station.yaml")}
-    for name, text in {**documents, "plan.json": b"{}\n"}.items():
+    documents |= {"plan.json": b"{}\n"}
+    for name, text in documents.items():
         folder.write_atomic(name, text)
     with Journal.create(folder.journal_path, **CLOCKS) as journal:
         hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
@@ -131,7 +132,7 @@ def make_a_run(path, *, serial="00050423"):
             folder.write_atomic(name, data)
         journal.append("entering", state="reporting")
         hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
-        journal.append("written", head=journal.entries[-1].hash, files=hashes, wire={})
+        journal.append("written", head=journal.entries[-1].hash, files=hashes)
         journal.append("left_off", state="reporting")
         journal.append("run_ended", how="finished", why="")
     return folder

@@ -164,7 +164,7 @@ def test_a_batch_and_a_run_show_what_a_person_did_and_are_not_green(tmp_path, ta
     with run_of(made_batch(tmp_path / "night"), "cam-001") as run:
         write_solved(run, 3345.0, [Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()])
         verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
-        run.write("written", head="", files={}, wire={}, verdict=verdict)
+        run.write("written", head="", files={}, verdict=verdict)
     with served(panel_app(tmp_path)) as server:
         tab = tabs.open(f"{server.url}batch/night")
         wait_text(tab, "#done", "This computer stood still for 60 s during the run")

@@ -132,7 +132,7 @@ def test_a_finished_run_is_green_only_if_its_report_has_no_reservation(run, kind
     run.record_all()
     solved = {"model": "m", "converged": True, "rms_px": 0.1, "values": {}, "sigma": {}, "causes": causes}
     run.write("solved", **solved)
-    run.write("written", head="", files={}, wire={}, verdict={"kind": kind, "headline": headline})
+    run.write("written", head="", files={}, verdict={"kind": kind, "headline": headline})
     run.end("finished")
     head = _head(run, ProcessState(sealed=True))
     assert (head["verdict"], head["tone"], head["headline"]) == ("finished", tone, headline)

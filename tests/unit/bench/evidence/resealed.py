@@ -125,7 +125,7 @@ class Forger:
         self.chain(lines)
         for line in lines:
             if line[0] == "written":
-                line[3].update(written_files(self.folder))
+                line[3]["files"] = written_files(self.folder)
         self.chain(lines)
 
     def render(self, job):

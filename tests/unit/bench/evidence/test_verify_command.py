@@ -38,7 +38,7 @@ def test_the_command_lists_every_fault_and_ends_with_1(forger, bench_home):
     assert ended.return_value == 1
     assert ended.stderr.startswith("NOT VERIFIED:")
     assert "results.json: run.operator is" not in ended.stderr  # the journal's hash comes first
-    assert "results.json: by the journal, it is another file than the one that was written" in ended.stderr
+    assert "results.json: the journal names this file with another hash" in ended.stderr
 
 
 def test_the_name_of_a_file_writes_no_line_of_its_own(forger, bench_home):

@@ -277,7 +277,7 @@ def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):
     numbers = {"values": {"fx": 3300.0, "fy": 3300.0}, "sigma": {"fx": 1.0, "fy": 1.0}}
     run.tell(Event.SOLVED, model="m", converged=True, rms_px=0.1, **numbers, causes=[cause])
     verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
-    run.tell(Event.WRITTEN, head="", files={}, wire={}, verdict=verdict)
+    run.tell(Event.WRITTEN, head="", files={}, verdict=verdict)
     run.tell(Event.RUN_ENDED, how="finished", why="")
     lines = status_text(run.status()).splitlines()
     at = lines.index("Calibrated, with reservations.")
