@@ -16,7 +16,7 @@ SEED ?= 1
 # An editable install holds a copy of these files (docs/decisions/0025).
 FRONT_DOOR := $(wildcard bench/front_door/*.py)
 
-.PHONY: pictures demo night test test-core test-slow lint types format bench table1 docs coverage lock release clean help
+.PHONY: pictures demo night test test-core test-slow lint types format bench table1 docs lock release clean help
 .DEFAULT_GOAL := help
 
 help: ## say what there is
@@ -80,7 +80,7 @@ format: $(VENV)/installed-dev ## put the code into its form
 	$(BIN)/ruff check --fix .
 
 bench: $(VENV)/installed-dev ## speeds, beside those of peers (never part of the tests)
-	for speed in convert evt3 fit pixels; do $(BIN)/python tests/benchmarks/bench_$$speed.py || exit 1; done
+	for speed in convert fit pixels; do $(BIN)/python tests/benchmarks/bench_$$speed.py || exit 1; done
 
 table1: $(VENV)/installed-dev ## methods compared where the truth is known: about an hour of two cores; Ctrl-C, and it continues
 	@$(PIP_COMPILED) 'optiland>=0.6' || echo "note: optiland is not to be had here; the collimators of strangers are left out"
@@ -93,9 +93,6 @@ pictures: $(VENV)/installed-dev ## make the pictures of README and documents aga
 docs: $(VENV)/installed-docs ## the documents as a site, in build/site; open build/site/index.html
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/site
 	@echo "Open build/site/index.html"
-
-coverage: $(VENV)/installed-dev ## how often the stated uncertainty covers the truth; Ctrl-C, and it continues
-	$(BIN)/python tests/benchmarks/bench_coverage.py
 
 lock: $(VENV)/made ## write down the newest versions within the ranges of pyproject.toml, with their hashes
 	$(PIP) 'uv>=0.13'

@@ -92,7 +92,7 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
         view, width_px = detection.view, detection.edge_width_px
     except CalibrationError:
         return figures
-    scores = star_scores(view, truth, rotation, whole_stars(truth, rotation))[1]
+    scores = star_scores(view, truth, rotation, whole_stars(truth, rotation))
     means = {"square": scores["square"] / 2.0 / len(view), "z_square": scores["z_square"] / len(view)}
     sigma = float(np.median(np.sqrt(np.trace(view.covariances_px2, axis1=1, axis2=2) / 2.0)))
     return (

@@ -1,15 +1,13 @@
 """CPU time of the lists of many runs: the first time, again, and after one run changed.
 
-    python tests/benchmarks/bench_lists.py RUN [--runs 10000] [--rounds 3] [--old FOLDER] [--write]
+    python tests/benchmarks/bench_lists.py RUN [--runs 10000] [--rounds 3] [--write]
 
 RUN is a sealed run of this bench (STARBENCH_HOME has its key). Its files are linked into many folders, and a ledger
-enters each of them. Every version of the program has a home of its own, whose index is removed before each round, and takes
-turns with the other. A command is a process of its own; the panel looks at its folder within one process.
+enters each of them. The index of the home is removed before each round. A command is a process of its own; the panel looks at its folder within one process.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import tempfile
@@ -21,6 +19,7 @@ from pathlib import Path
 import measured
 
 from bench.base.home import home_folder
+from bench.extras.pages.panel.folder_list import FolderList
 from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, highest_run, write_own_mark
 from bench.record.run_index import INDEX
 from bench.record.storage import sha256_of
@@ -57,8 +56,6 @@ def make_home(home: Path, runs: list[Path]) -> None:
 
 def looks_s(folder: Path) -> list[float]:
     """Return the CPU times of the panel's looks at a folder: until all is listed, then twice again."""
-    from bench.extras.pages.panel.folder_list import FolderList
-
     listed, times, begun = FolderList(folder), [], time.process_time()
     while listed.look()["unread"]:
         pass
@@ -69,17 +66,17 @@ def looks_s(folder: Path) -> list[float]:
     return times
 
 
-def one_round(source: Path, home: Path, runs: list[Path]) -> Iterator[tuple[str, float]]:
-    """Yield what was measured of a version, and its CPU time."""
+def one_round(home: Path, runs: list[Path]) -> Iterator[tuple[str, float]]:
+    """Yield what was measured, and its CPU time."""
     folder = str(runs[0].parent)
     for part_of_index in home.glob(f"{INDEX}*"):
         part_of_index.unlink()
-    yield "runs FOLDER, first time", measured.command_s(source, home, "runs", folder)
-    yield "runs FOLDER", measured.command_s(source, home, "runs", folder)
-    yield "runs of the ledger", measured.command_s(source, home, "runs")
+    yield "runs FOLDER, first time", measured.command_s(home, "runs", folder)
+    yield "runs FOLDER", measured.command_s(home, "runs", folder)
+    yield "runs of the ledger", measured.command_s(home, "runs")
     os.utime(runs[-1])
-    yield "runs FOLDER, one run changed", measured.command_s(source, home, "runs", folder)
-    first, *again = json.loads(measured.in_checkout(source, folder, "--looks"))
+    yield "runs FOLDER, one run changed", measured.command_s(home, "runs", folder)
+    first, *again = looks_s(Path(folder))
     yield "panel, first time", first
     yield from (("panel, a look", took) for took in again)
 
@@ -90,29 +87,17 @@ def main() -> None:
     parser.add_argument("run", type=Path, metavar="RUN")
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--old", type=Path, help="checkout of an earlier version")
-    parser.add_argument(
-        "--looks", action="store_true", help="look at RUN as the panel (for this program's own use)"
-    )
     options = parser.parse_args()
-    if options.looks:
-        print(json.dumps(looks_s(options.run)))
-        return
-    versions = {"now": measured.ROOT, **({"before": options.old.resolve()} if options.old else {})}
-    took: dict[str, dict[str, list[float]]] = {}
+    took: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory(dir=options.run.resolve().parent) as name:
-        runs = make_runs(options.run, Path(name) / "runs", options.runs)
-        for version in versions:
-            make_home(Path(name) / version, runs)
-        for version, source in [*versions.items()] * options.rounds:
-            for what, cpu_s in one_round(source, Path(name) / version, runs):
-                took.setdefault(what, {}).setdefault(version, []).append(cpu_s)
-    print(f"| {options.runs:,} runs | now | 95 % |" + (" before | 95 % | ratio |" if options.old else ""))
-    print("| --- |" + " ---: |" * (5 if options.old else 2))
-    for what, by_version in took.items():
-        now, *before = (measured.spread(by_version[version]) for version in versions)
-        before_cells = "".join(f" {old.cells(2)} | {now.median_s / old.median_s:.2f} |" for old in before)
-        print(f"| {what} | {now.cells(2)} |{before_cells}")
+        home, runs = Path(name) / "home", make_runs(options.run, Path(name) / "runs", options.runs)
+        make_home(home, runs)
+        for _ in range(options.rounds):
+            for what, cpu_s in one_round(home, runs):
+                took.setdefault(what, []).append(cpu_s)
+    print(f"| {options.runs:,} runs | CPU time | 95 % |\n| --- | ---: | ---: |")
+    for what, times_s in took.items():
+        print(f"| {what} | {measured.spread(times_s).cells(2)} |")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
-"""How accurate and how fast the figures of a live picture are, on simulated slices of one flicker period and one more.
+"""How accurate the figures of a live picture are, on simulated slices of one flicker period and one more.
 
-    python tests/benchmarks/bench_live.py [--rows focus | turn | time]
+    python tests/benchmarks/bench_live.py [--rows focus | turn]
 
 ``focus``: for levels of the light and diameters of the blur circle, the edge width and the number of stars. ``turn``: distance of the tag from the middle of the image, px, after the turn that
-the figures give, and errors of the beam's centre and radius. ``time``: CPU milliseconds of one core.
+the figures give, and errors of the beam's centre and radius.
 """
 
 from __future__ import annotations
 
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -78,30 +77,8 @@ def turn_rows(folder: Path) -> None:
             )
 
 
-def time_rows(folder: Path) -> None:
-    """Print the CPU time of a picture, the best of three slices of one period."""
-    print("slice                    | CPU ms")
-    for name, circle, angles, light in (
-        ("sharp", 0.0, {}, drive()),
-        ("4 px", 4.0, {}, drive()),
-        ("16 px at 10 %", 16.0, {}, drive(10.0)),
-        ("no tag", 0.0, {"pan": 15.0}, drive()),
-        ("nothing to recognise", 24.0, {}, drive()),
-        ("sine", 0.0, {}, drive(waveform="sine")),
-    ):
-        path = write_slice(
-            folder / "slice.raw", seen(bench(circle_px=circle), **angles), light=light, periods=0
-        )
-        meter, took_ms = LiveMeter(), []
-        for number in range(4):
-            before_s = time.process_time()
-            meter.measure(LiveSlice(path, float(number), None, angles), SETTING)
-            took_ms.append(1e3 * (time.process_time() - before_s))
-        print(f"{name:24s} | {min(took_ms[1:]):.0f}", flush=True)
-
-
 def main() -> None:
-    rows = {"focus": focus_rows, "turn": turn_rows, "time": time_rows}
+    rows = {"focus": focus_rows, "turn": turn_rows}
     parser = measured.options(__doc__)
     parser.add_argument("--rows", choices=tuple(rows), action="append")
     with tempfile.TemporaryDirectory() as folder:

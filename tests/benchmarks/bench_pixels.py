@@ -8,20 +8,15 @@ the words of a stream, and as one list of events. Beside
 them stand those of published simulators on the same kind of work, measured once on a machine of the same class;
 they are not run here.
 
-    python tests/benchmarks/bench_pixels.py [--old FOLDER]
-
-``--old`` names a checkout of an earlier version. Only the figures of the sensor are then measured, of both versions in
-turn, each in a process of its own.
+    python tests/benchmarks/bench_pixels.py [--write]
 """
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import measured
@@ -35,7 +30,6 @@ from simulators.world.world import LightState
 
 PERIOD_US = 1e6 / 60.0
 SLICES = 6
-ROUNDS = 3
 BUSY = NoiseTruth(mismatch=0.12, background_hz=10.0, hot_share=2e-4, hot_hz=2000.0, reset_noise=0.01)
 
 PUBLISHED = (
@@ -138,34 +132,7 @@ def picture_of_a_pose() -> np.ndarray:
     return optics.render(truth, optics.pose_rotation({"pan": 1.0, "tilt": -1.0}, truth.optics))
 
 
-def compare(old: Path) -> None:
-    """Print ns an event of both versions, the best of some rounds in turn."""
-    best: dict[str, dict[str, float]] = {"old": {}, "new": {}}
-    for _ in range(ROUNDS):
-        for version, folder in (("old", old), ("new", measured.ROOT)):
-            for line in measured.in_checkout(folder, "--figures").splitlines():
-                name, ns = line.rsplit("\t", 1)
-                best[version][name] = min(best[version].get(name, np.inf), float(ns))
-    print("CPU time, ns an event                            old    new   share")
-    for name, ns in best["new"].items():
-        print(f"{name:44s} {best['old'][name]:7.1f} {ns:6.1f} {ns / best['old'][name]:7.2f}")
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--old", type=Path, help="checkout of an earlier version")
-    parser.add_argument("--figures", action="store_true", help="print the sensor's ns an event only")
-    options = parser.parse_args()
-    if options.old:
-        compare(options.old)
-    elif options.figures:
-        for figure in sensor_figures(picture_of_a_pose()):
-            print(f"{figure.name}\t{figure.event_ns}")
-    else:
-        report()
-
-
-def report() -> None:
     picture_of_a_pose()
     begin = time.process_time()
     picture = picture_of_a_pose()

@@ -51,12 +51,12 @@ def in_checkout(folder: Path, *words: str) -> str:
     ).stdout
 
 
-def command_s(source: Path, home: Path, *words: str, cwd: Path | None = None) -> float:
-    """Call a command of the version in a folder, with a home; return its CPU time. It works in ``cwd``, if not there."""
-    environment = os.environ | {"STARBENCH_HOME": str(home), "PYTHONPATH": str(source)}
+def command_s(home: Path, *words: str) -> float:
+    """Call a command with a home; return its CPU time."""
+    environment = os.environ | {"STARBENCH_HOME": str(home)}
     process = subprocess.Popen(
         [sys.executable, "-m", "bench", *words],
-        cwd=cwd or source,
+        cwd=ROOT,
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

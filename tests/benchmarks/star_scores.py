@@ -30,11 +30,11 @@ def whole_stars(truth: Truth, rotation: Any) -> Any:
     return star_centres(truth, rotation, clearance=0.72, border_px=pitch_px / math.sqrt(2.0))[0]
 
 
-def star_scores(view: View, truth: Truth, rotation: Any, whole: Any) -> tuple[Any, dict[str, float]]:
-    """Return the errors of the stars, (N, 2) px, and figures: sums of squares and z-squares; missed and wrong stars."""
+def star_scores(view: View, truth: Truth, rotation: Any, whole: Any) -> dict[str, float]:
+    """Return sums of squares and z-squares; missed and wrong stars."""
     errors = view.points_px - project(np.asarray(TARGET.positions_mm(view.ids)), rotation, truth)
     squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(view.covariances_px2), errors) / 2.0
-    return errors, {
+    return {
         "square": float((errors**2).sum()),
         "z_square": float(squares.sum()),
         "stars": len(view),

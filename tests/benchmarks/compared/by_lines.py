@@ -1,10 +1,10 @@
-"""A camera from the edges of a sheet or a box (Liu et al., Measurement 235, 2024, 114900; arXiv:2512.22441).
+"""A camera from the edges of a sheet (Liu et al., Measurement 235, 2024, 114900; arXiv:2512.22441).
 
-The closed forms of `line_geometry` start the camera and the poses; the sum of squared distances of the edges' points to the
+The closed form of `line_geometry` starts the camera and the poses; the sum of squared distances of the edges' points to the
 projected edges is then least over intrinsics, distortion and poses. A point's distance is taken in the image without
 distortion: between its ray and the plane through the camera and the edge.
 
-Events come at the middle of an edge's logarithmic brightness, which lies towards its dark side, so bright faces look
+Events come at the middle of an edge's logarithmic brightness, which lies towards its dark side, so a bright sheet looks
 larger. By how much is one more unknown if it is asked for, the same for all edges (own extension).
 """
 
@@ -20,12 +20,12 @@ from calib.arrays import Array, Bools
 from calib.calibration import rms_and_mean
 from calib.errors import DegenerateViews, NotConverged
 from calib.model.camera import CameraModel, distortion_names
-from calib.model.closed_forms import central_matrix, poses_from_homographies, zhang_matrix
-from calib.model.rotation import exp_map, nearest_rotation
+from calib.model.closed_forms import poses_from_homographies, zhang_matrix
+from calib.model.rotation import exp_map
 from tests.benchmarks.compared.reference_methods import MethodResult
 
 from .line_events import EdgePoints
-from .line_geometry import camera_of_projection, projection_of_lines
+from .line_geometry import homography_of_lines
 
 _FEWEST_VIEWS, _FEWEST_EDGES = 2, 4
 _STEP = 1e-6
@@ -35,11 +35,10 @@ _MISTAKEN, _ROUNDS = 4.0, 3
 
 @dataclass(frozen=True)
 class SeenEdges:
-    """The edges of a sheet or a box in one image."""
+    """The edges of a sheet in one image."""
 
     name: str
-    ends_mm: Array  # (E, 2, 3) ends of the edges, in the frame of the sheet or box
-    inside_mm: Array  # (3,) a point of it that the camera sees
+    ends_mm: Array  # (E, 2, 3) ends of the edges, in the frame of the sheet, whose middle is the origin
     edges: tuple[EdgePoints, ...]  # of each edge
 
 
@@ -50,9 +49,9 @@ def calibrate_by_lines(
     *,
     widened: bool = False,
 ) -> MethodResult:
-    """Calibrate a camera from the edges of a sheet or a box in two views or more.
+    """Calibrate a camera from the edges of a sheet in two views or more.
 
-    Raises DegenerateViews: If the closed forms give no camera. Raises NotConverged: If the adjustment does not converge.
+    Raises DegenerateViews: If the closed form gives no camera. Raises NotConverged: If the adjustment does not converge.
     """
     if len(views) < _FEWEST_VIEWS:
         raise DegenerateViews(f"{len(views)} views; {_FEWEST_VIEWS} are needed.", remedy="Take more views.")
@@ -60,7 +59,7 @@ def calibrate_by_lines(
     names = distortion_names(distortion)
     camera = replace(start, distortion=dict.fromkeys(names, 0.0))
     adjustment = _Adjustment(views, camera, poses, widened=widened)
-    # The closed forms know no distortion, so the focal length and the poses come first.
+    # The closed form knows no distortion, so the focal length and the poses come first.
     values = adjustment.solved(np.zeros(adjustment.size), adjustment.focal_and_poses, "linear")
     everything = np.ones(adjustment.size, np.bool_)
     values = adjustment.solved(values, everything, "linear")
@@ -81,39 +80,17 @@ def calibrate_by_lines(
 def _start(
     views: Sequence[SeenEdges], image_size: tuple[int, int]
 ) -> tuple[CameraModel, list[tuple[Array, Array]]]:
-    """Return a camera without distortion, and rotation and translation of each view, by closed forms."""
+    """Return a camera without distortion, and rotation and translation of each view, by the closed form."""
     lines = [np.array([edge.line for edge in view.edges]) for view in views]
-    maps = [projection_of_lines(line, view.ends_mm) for line, view in zip(lines, views, strict=True)]
-    if maps[0].shape[1] == 3:
-        homographies = np.array(
-            [_ahead(projection, view.inside_mm) for projection, view in zip(maps, views, strict=True)]
-        )
-        matrix = zhang_matrix(homographies, image_size, free_principal_point=False)
-        if matrix is None:
-            raise DegenerateViews("The closed form has no real camera.", remedy="Tilt the sheet more.")
-        rotations, centres = poses_from_homographies(homographies, matrix)
-        poses = [(r, -r @ c) for r, c in zip(rotations, centres, strict=True)]
-        return CameraModel.of_matrix(matrix, image_size), poses
-    # One view of a small box says little about the principal point: it is the image's centre at first.
-    matrices = [
-        camera_of_projection(projection, view.inside_mm)[0]
-        for projection, view in zip(maps, views, strict=True)
-    ]
-    matrix = central_matrix(
-        float(np.median([matrix_of_view[[0, 1], [0, 1]].mean() for matrix_of_view in matrices])), image_size
+    homographies = np.array(
+        [homography_of_lines(line, view.ends_mm) for line, view in zip(lines, views, strict=True)]
     )
-    poses = []
-    for line, view in zip(lines, views, strict=True):
-        _, rotation, translation = camera_of_projection(
-            projection_of_lines(line @ matrix, view.ends_mm), view.inside_mm
-        )
-        poses.append((nearest_rotation(rotation), translation))
+    matrix = zhang_matrix(homographies, image_size, free_principal_point=False)
+    if matrix is None:
+        raise DegenerateViews("The closed form has no real camera.", remedy="Tilt the sheet more.")
+    rotations, centres = poses_from_homographies(homographies, matrix)
+    poses = [(r, -r @ c) for r, c in zip(rotations, centres, strict=True)]
     return CameraModel.of_matrix(matrix, image_size), poses
-
-
-def _ahead(homography: Array, inside_mm: Array) -> Array:
-    """Return a homography with the sign that puts a point of the plane before the camera."""
-    return homography * np.sign(homography[2] @ [*inside_mm[:2], 1.0])
 
 
 class _Adjustment:

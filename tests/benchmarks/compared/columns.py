@@ -12,7 +12,7 @@ Method = Literal["starbench", "recipe", "zhang", "checkerboard", "reconstruction
 """``starbench``: this project's engine. ``recipe``: the published recipe. ``zhang``: OpenCV's planar calibration of the
 same star images. ``checkerboard``: a board on a flickering screen, placed by hand for each image. ``reconstruction``: a
 board that does not flicker, seen by a moving camera. ``angles``: one star image, by angle invariance. ``lines``: the edges
-of a sheet or a box, seen by a moving camera."""
+of a sheet, seen by a moving camera."""
 STAR_METHODS: tuple[Method, ...] = ("starbench", "recipe", "zhang", "angles")
 _FEWEST = 2
 
@@ -47,18 +47,17 @@ class Motion(Strict):
     two_sided: bool = True  # False: the filter as published, of earlier events only
 
 
-class Body(Strict):
-    """The sheet (depth 0) or box whose edges the method ``lines`` uses, and how it moves before the camera."""
+class Sheet(Strict):
+    """The sheet whose edges the method ``lines`` uses, and how it moves before the camera."""
 
     width_mm: float = 297.0  # A4
     height_mm: float = 210.0
-    depth_mm: float = 0.0
     distance_mm: float = 1800.0
     tilt_deg: float = 45.0
     speed_px_s: float = 1000.0
     way_px: float = 30.0
     marked_px: float = 5.0  # How exactly a person marks the ends of an edge
-    widened: bool = False  # Whether it is unknown by how much bright faces look larger; of a sheet
+    widened: bool = False  # Whether it is unknown by how much the bright sheet looks larger
 
 
 class Column(Strict):
@@ -69,18 +68,15 @@ class Column(Strict):
     group: str = ""  # Heading of the table above this column and those that follow it
     # stranger: a bench of `worlds.stranger`, whose station states what a column knows
     collimator: Literal["ideal", "like-real", "like-bench", "S1", "S2", "S3", "stranger"] = "ideal"
-    bow_um: float = 0.0  # Bow of the reticle at 40 mm
-    flatness_um: float | None = None  # Flatness of the reticle at 40 mm that the station states
     noise: Literal["none", "clean", "typical", "heavy"] = "typical"
     images: Annotated[int, Field(ge=1, le=50)] = 3
     passport: bool = False  # A certificate of the collimator's radius
     known_collimator: bool = False  # Nine images of another camera make the collimator's passport first
     readings: bool = False  # The readings of the gimbal, with the bounds of parallax
-    detector: Literal["symmetry", "sectors", "subpixel"] = "symmetry"
     lens: str = "k1k2"
     board: Screen = Screen()
     motion: Motion = Motion()
-    body: Body = Body()
+    sheet: Sheet = Sheet()
 
     @model_validator(mode="after")
     def _enough_images(self) -> Column:

@@ -63,8 +63,6 @@ CATALOGUE_MM = (255.0, 2.55)
 #: How far the entrance pupil stands before the pivot, where it is known; other collimators have no bound of parallax.
 _OFF_PIVOT_MM = {"ideal": 0.0, "S3": 0.0, "like-bench": 2.0}
 _FEWEST_VIEWS = 2
-#: Radius at which the flatness of a reticle is stated, mm; its radial coefficient is bow r / R^2, rectangular.
-_FLAT_AT_MM = 40.0
 
 
 def solve(column: Column, images: Images, images_cpu_s: float, seed: int) -> Row:
@@ -159,10 +157,10 @@ def _result(column: Column, images: Images, seed: int) -> tuple[MethodResult, Ca
         return _by_angles(column, images, seed), None
     if column.method == "lines":
         return calibrate_by_lines(
-            images.edges, images.camera.image_size, lens, widened=column.body.widened
+            images.edges, images.camera.image_size, lens, widened=column.sheet.widened
         ), None
     board = column.method not in STAR_METHODS
-    if column.method == "zhang" or (board and column.detector != "symmetry"):
+    if column.method == "zhang":
         return opencv_planar(views, CalibrationOptions("planar", lens, "l2")), None
     if board:
         calibration = calibrate(views, CalibrationOptions("planar", lens))
@@ -192,7 +190,6 @@ def _options(column: Column, images: Images, seed: int) -> CalibrationOptions:
     if column.collimator in _OFF_PIVOT_MM:
         stated = float(images.truth["collimator"]["defocus"]) + defocus
         bound = ParallaxBound(stated, 0.01, _OFF_PIVOT_MM[column.collimator] + off_pivot, 0.5)
-    flat = None if column.flatness_um is None else 1e-3 * column.flatness_um * r / _FLAT_AT_MM**2 / 3.0**0.5
     if column.known_collimator and images.reference is not None:
         first = column.model_copy(update={"known_collimator": None, "passport": True, "readings": True})
         known = calibrate(images.reference.views, _options(first, images.reference, seed))
@@ -201,7 +198,6 @@ def _options(column: Column, images: Images, seed: int) -> CalibrationOptions:
     return CalibrationOptions(
         model="auto",
         distortion=column.lens,
-        radial_sigma=flat,
         passport=Passport.of_radius(certified, sigma) if column.passport else None,
         gimbal=GimbalReadings(angles, 0.002, 2e-4, 0.001, bound, "drawn") if column.readings else None,
     )

@@ -1,24 +1,23 @@
-"""Recordings of a board, a sheet or a box that moves evenly before the simulated camera, under a steady light."""
+"""Recordings of a board or a sheet that moves evenly before the simulated camera, under a steady light."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from box_scene import ShownBox
 from numpy.typing import NDArray
+from sheet_scene import ShownSheet
 from virtual_camera import VirtualCamera
 
-from calib.errors import CalibrationError, TargetNotFound
+from calib.errors import CalibrationError
 from calib.events.reconstruction import reconstruct
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map, log_map
 
 from .by_lines import SeenEdges
-from .columns import Body, Column
+from .columns import Column, Sheet
 from .line_events import edge_points
 
 Array = NDArray[np.float64]
@@ -91,33 +90,28 @@ def _even_motion(
 
 
 def record_edges(column: Column, camera: CameraModel, seed: int, number: int) -> SeenEdges:
-    """Record a sheet or a box that moves past the camera, and find its edges at the middle of the time.
+    """Record a sheet that moves past the camera, and find its edges at the middle of the time.
 
-    A person marks the ends of each edge in a picture. An edge with too few events is left out.
-    Raises TargetNotFound: If fewer than six edges of a box are found, or one of a sheet is not.
+    A person marks the ends of each edge in a picture.
+    Raises TargetNotFound: If an edge has too few events.
     """
-    body, name = column.body, f"pass {number}"
+    sheet = column.sheet
     rng = np.random.default_rng((seed, 32, number))
-    placed, ends_px, ends_mm = _placed_body(body, column, camera, rng)
-    duration_us = 1e6 * body.way_px / body.speed_px_s
+    placed, ends_px, ends_mm = _placed_sheet(sheet, column, camera, rng)
+    duration_us = 1e6 * sheet.way_px / sheet.speed_px_s
     middle_us = 0.5 * duration_us
-    section = {"noise": column.noise, "optics": {"mounting_deg": [0.0, 0.0, 0.0]}, "box": placed}
+    section = {"noise": column.noise, "optics": {"mounting_deg": [0.0, 0.0, 0.0]}, "sheet": placed}
     seen = VirtualCamera(section, seed).capture_moving(
-        _even_motion(placed, _across(ends_px, rng), body.speed_px_s / camera.fx, middle_us, rng),
+        _even_motion(placed, _across(ends_px, rng), sheet.speed_px_s / camera.fx, middle_us, rng),
         duration_us,
         seed=1000 * seed + number,
-        frame_us=1e6 * _LINES_STEP_PX / body.speed_px_s,
+        frame_us=1e6 * _LINES_STEP_PX / sheet.speed_px_s,
     )
-    edges, kept = [], []
-    for edge, ends in enumerate(ends_px):
-        marked = ends + body.marked_px * rng.normal(size=(2, 2))
-        with contextlib.suppress(TargetNotFound):
-            edges.append(edge_points(tuple(seen.events), middle_us, marked, rng))
-            kept.append(edge)
-    fewest = 6 if body.depth_mm else 4
-    if len(kept) < fewest:
-        raise TargetNotFound(f"{len(kept)} edges were found; {fewest} are needed.", where=name)
-    return SeenEdges(name, ends_mm[kept], np.array([0.0, 0.0, 0.5 * body.depth_mm]), tuple(edges))
+    edges = []
+    for ends in ends_px:
+        marked = ends + sheet.marked_px * rng.normal(size=(2, 2))
+        edges.append(edge_points(tuple(seen.events), middle_us, marked, rng))
+    return SeenEdges(f"pass {number}", ends_mm, tuple(edges))
 
 
 def _across(ends_px: Array, rng: np.random.Generator) -> float:
@@ -130,33 +124,32 @@ def _across(ends_px: Array, rng: np.random.Generator) -> float:
     return float(tried[enough[0] if len(enough) else np.argmax(least)])
 
 
-def _placed_body(
-    body: Body, column: Column, camera: CameraModel, rng: np.random.Generator
+def _placed_sheet(
+    sheet: Sheet, column: Column, camera: CameraModel, rng: np.random.Generator
 ) -> tuple[dict[str, Any], Array, Array]:
-    """Draw where the body stands: wholly in view, tilted and turned; a box shows three faces, and no edge is short.
+    """Draw where the sheet stands: wholly in view, tilted and turned; no edge is short.
 
-    Returns the fields of `box_scene.ShownBox`, and the ends of the seen edges in px and in mm.
+    Returns the fields of `sheet_scene.ShownSheet`, and the ends of the edges in px and in mm.
     """
-    faces = 3 if body.depth_mm else 1
-    margin = _MARGIN_PX + 0.5 * body.way_px
+    margin = _MARGIN_PX + 0.5 * sheet.way_px
     for _ in range(_MOST_DRAWS):
         tilt, around, roll = (
-            body.tilt_deg * rng.random(),
+            sheet.tilt_deg * rng.random(),
             2 * math.pi * rng.random(),
             2 * math.pi * rng.random(),
         )
         turn = math.radians(tilt) * np.array([math.cos(around), math.sin(around), 0.0])
         rotation = exp_map(np.array([0.0, 0.0, roll])) @ exp_map(turn)
-        distance = body.distance_mm * (1.0 + 0.15 * rng.uniform(-1, 1))
+        distance = sheet.distance_mm * (1.0 + 0.15 * rng.uniform(-1, 1))
         middle = camera.rays(np.array([[rng.uniform(0, s - 1) for s in camera.image_size]]))[0]
-        position = distance * middle / middle[2] - rotation @ [0.0, 0.0, 0.5 * body.depth_mm]
+        position = distance * middle / middle[2]
         placed = {
-            **body.model_dump(include={"width_mm", "height_mm", "depth_mm"}),
+            **sheet.model_dump(include={"width_mm", "height_mm"}),
             "position_mm": tuple(position.tolist()),
             "turn_deg": tuple(np.degrees(log_map(rotation)).tolist()),
         }
-        shown = ShownBox(**placed)
-        if len(shown.seen_faces()) != faces:
+        shown = ShownSheet(**placed)
+        if not shown.shows_its_front():
             continue
         ends_mm = shown.edges_mm()
         ends = camera.project(ends_mm.reshape(-1, 3) @ rotation.T + position).reshape(-1, 2, 2)
@@ -165,7 +158,7 @@ def _placed_body(
         if inside.all() and long.all():
             return placed, ends, ends_mm
     raise CalibrationError(
-        "The sheet or box does not fit into the picture.",
+        "The sheet does not fit into the picture.",
         where=f"column {column.name}",
         remedy="Use a smaller one or a larger distance.",
     )

@@ -29,7 +29,6 @@ from tests.benchmarks.worlds.bench import Bench
 from tests.benchmarks.worlds.knowledge import views_of
 
 from .by_lines import SeenEdges
-from .by_others import opencv_corners
 from .columns import STAR_METHODS, Column
 from .moving import reach_px, record_edges, record_moving
 from .strangers import camera_model, stranger_bench
@@ -63,11 +62,11 @@ class Images:
 def recordings_key(column: Column) -> tuple[Any, ...]:
     """Return what the recordings of a column depend on; columns with the same key share their recordings."""
     if column.method in STAR_METHODS:
-        key = ("stars", column.collimator, column.bow_um, column.noise, column.images)
+        key = ("stars", column.collimator, column.noise, column.images)
         return (*key, "reference") if column.known_collimator else key
     if column.method == "lines":
-        body = column.body.model_dump(exclude={"widened"})
-        return ("lines", column.noise, column.images, *body.values())
+        sheet = column.sheet.model_dump(exclude={"widened"})
+        return ("lines", column.noise, column.images, *sheet.values())
     board = ("board", column.noise, column.images, *column.board.model_dump().values())
     if column.method != "reconstruction":
         return board
@@ -77,7 +76,7 @@ def recordings_key(column: Column) -> tuple[Any, ...]:
 
 def finding_key(column: Column) -> tuple[Any, ...]:
     """Return what the search for the target depends on, besides the recordings."""
-    return column.detector, column.method == "reconstruction" and column.motion.two_sided
+    return (column.method == "reconstruction" and column.motion.two_sided,)
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class Recordings:
     one_sided: Sequence[NDArray[np.float32]] = ()
     edges: tuple[SeenEdges, ...] = ()
     bench: Bench | None = None  # A stranger's, which has its stars already
-    missed: tuple[str, ...] = ()  # For each sheet or box whose edges were not found, the reason
+    missed: tuple[str, ...] = ()  # For each sheet whose edges were not found, the reason
 
 
 def record(column: Column, seed: int) -> Recordings:
@@ -134,7 +133,7 @@ def find_targets(column: Column, recorded: Recordings) -> Images:
             if stars:
                 views.append(downweight_vignetted(detect_view(image, target, name=name), target))
             else:
-                views.append(_found_board(image, board, column.detector, name))
+                views.append(detect_board(image, board, name=name))
         except CalibrationError as error:
             missed.append(str(error))
             continue
@@ -174,7 +173,6 @@ def _record_stars(column: Column, seed: int, camera_seed: int) -> Recordings:
         "collimator": {"profile": column.collimator, "glass_seed": 1000 + seed},
         "gimbal": gimbal_section(seed),
         "noise": column.noise,
-        "reticle": {"bow_mm": 1e-3 * column.bow_um},
     }
     camera = VirtualCamera(section, camera_seed)
     poses = [{"pan": pan, "tilt": tilt} for pan, tilt in star_poses(column.images)]
@@ -254,13 +252,6 @@ def _placement(
         where=f"column {column.name}",
         remedy="Use a smaller board or a larger distance.",
     )
-
-
-def _found_board(image: NDArray[np.float32], board: Board, detector: str, name: str) -> View:
-    """Find the corners as the column asks."""
-    if detector == "symmetry":
-        return detect_board(image, board, name=name)
-    return opencv_corners(image, board, detector, name)
 
 
 def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDArray[np.float32]:

@@ -1,9 +1,8 @@
-"""U as one thing grows: a smooth error, the number of poses, what is known. A step of U is a ratio of neighbours."""
+"""U as one thing grows: the number of poses, or what is known. A step of U is a ratio of neighbours."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +12,6 @@ from .bench import GRID, THREE, Pose
 from .judge import judged
 from .polynomial import draw_world, record
 
-SMOOTH_PX = tuple(np.round(np.arange(0, 0.0105, 0.001), 3).tolist())
 COUNTS = (3, 4, 5, 6, 7, 9, 12, 16, 20, 25)
 CHAINS = (("0", "r", "cr"), ("0", "c", "cr"))
 
@@ -22,15 +20,6 @@ def nested_poses(seed: int) -> Sequence[Pose]:
     """25 poses: the three of a short sequence, then those of the grid in a drawn order."""
     order = np.random.default_rng((seed, 41)).permutation(len(GRID))
     return [*THREE, *(GRID[i] for i in order)][: max(COUNTS)]
-
-
-def smooth_errors(seed: int, known: str, poses: Sequence[Pose]) -> list[dict[str, Any]]:
-    """Results of an ideal bench whose poses have a smooth error that grows in steps of .001 px."""
-    world = draw_world(seed, "ideal")
-    return [
-        {"smooth_px": px, **judged(record(replace(world, pose_field_px=px), seed, poses), known, "right")}
-        for px in SMOOTH_PX
-    ]
 
 
 def more_poses(seed: int, known: str) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from calib.joint.solve import optimum_with_faults
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.type_b_terms import TypeBTerm
 from tests.benchmarks.worlds import polynomial
-from tests.benchmarks.worlds.attacks import attacked
+from tests.benchmarks.worlds.attacks import radius_drifts
 from tests.benchmarks.worlds.bench import NINE, THREE
 from tests.benchmarks.worlds.catalogue import result as drawn_result
 from tests.benchmarks.worlds.judge import judged
@@ -436,6 +436,6 @@ def test_what_a_station_states_of_the_pupil_hardly_adds_to_the_uncertainty_of_th
 
 def test_two_statements_that_fail_at_once_are_both_named():
     """The focal length drifts; the scale of tilt alone would explain most of it, with cy 38 px wrong at U 5 px."""
-    line = attacked("radius and defocus drift", 7)
+    line = radius_drifts(7)
     assert any("focal length drifts" in note for note in line["notes"])
     assert abs(line["error"]["cy"]) < line["U"]["cy"]
