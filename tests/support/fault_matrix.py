@@ -22,7 +22,6 @@ import bench.batch.rehearsal
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
 from bench.record.events import Event
-from bench.record.history import replay
 from bench.record.journal import read_journal, stored_captures
 from bench.record.storage import sha256_of
 
@@ -189,7 +188,7 @@ def _resumed(scene, patch):
     with_runner(scene, patch)
     _quick_solution(patch)
     end = scene.run()
-    accepted = replay(read_journal(scene.folder / "journal.jsonl")[0]).accepted()
+    accepted = scene.history().accepted()
     wrong = [] if end.how == "finished" else [f"resumed, it {end.how}: {end.why}"]
     return wrong if set(accepted) == {1, 2} else [*wrong, f"resumed, poses {sorted(accepted)} are recorded"]
 

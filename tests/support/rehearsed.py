@@ -12,6 +12,7 @@ from bench.batch.virtual_devices import VirtualDevices
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
+from bench.record.history import replay
 from bench.record.journal import Journal, read_journal
 from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.runner import Runner
@@ -99,6 +100,10 @@ class Scene:
 
     def events(self):
         return [(e.event, e.data) for e in read_journal(self.folder / "journal.jsonl")[0]]
+
+    def history(self):
+        """What the journal amounts to."""
+        return replay(read_journal(self.folder / "journal.jsonl")[0])
 
     def data_of(self, event):
         return [data for name, data in self.events() if name == event]

@@ -74,10 +74,9 @@ def test_a_good_slice_shows_everything_and_needs_nothing(good):
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        (b"", "cannot be read: This is not a RAW recording: it is empty"),
-        (b"no recording at all", "cannot be read"),
-        (HEADER + np.full(50, 0xC152, "<u2").tobytes(), "cannot be read: The type of word 0xC152"),
-        (None, "cannot be read: There is no such file"),
+        (b"", "it is empty"),
+        (HEADER + np.full(50, 0xC152, "<u2").tobytes(), "0xC152"),
+        (None, "no such file"),
     ],
 )
 def test_files_that_hold_nothing(tmp_path, content, fault):

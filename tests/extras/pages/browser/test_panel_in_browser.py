@@ -150,16 +150,6 @@ def write_solved(run, fx_px, causes=()):
     )
 
 
-def test_the_page_of_a_batch_names_the_goal_that_a_run_missed(tmp_path, tabs):
-    why = "U(fx) is 3 px; the goal is 2 px."
-    with run_of(made_batch(tmp_path / "night"), "cam-001") as run:
-        run.write("until_decided", until=2, until_last=9, step=5, ended="at_most", why=why)
-    with served(panel_app(tmp_path)) as server:
-        tab = tabs.open(f"{server.url}batch/night")
-        wait_text(tab, "#done", why)
-        assert "goal of a step was not met" in tab.inner_text("#done")
-
-
 def test_a_batch_and_a_run_show_what_a_person_did_and_are_not_green(tmp_path, tabs):
     with run_of(made_batch(tmp_path / "night"), "cam-001") as run:
         write_solved(run, 3345.0, [Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()])

@@ -141,12 +141,6 @@ def test_twenty_pages_read_the_journal_once(run, monkeypatch):
                 answer.__exit__(None, None, None)
 
 
-def test_a_log_is_told_backwards(run, server):
-    log = httpx.get(f"{server.url}api/run/run7/log?before=4").json()["log"]
-    assert [entry["line"] for entry in log] == [1, 2]
-    assert httpx.get(f"{server.url}api/run/run7/log?before=x").status_code == 400
-
-
 def test_an_address_of_no_run_is_one_clear_error(server):
     for path in (
         "api/run/nowhere/events",

@@ -146,13 +146,6 @@ def test_a_sign_in_keeps_a_random_session_that_does_not_come_from_the_token():
     assert again.get("/").status_code == 401
 
 
-def test_a_server_for_others_signs_in_at_its_own_name():
-    client = _client(host="0.0.0.0", token=PageToken(TOKEN), url="http://192.168.1.7:8800")
-    answer = client.post("/sign-in", json={"token": TOKEN}, headers={"Origin": "http://192.168.1.7:8800"})
-    assert answer.status_code == 200
-    assert client.get("/").text == "first page"
-
-
 @pytest.mark.parametrize("body", [b'{"token": "wrong"}', b"{}", b'{"token": 7}'])
 def test_a_wrong_token_is_refused(body):
     client, own = _at_session_host()
@@ -163,16 +156,7 @@ def test_a_wrong_token_is_refused(body):
 
 
 @pytest.mark.parametrize(
-    "body",
-    [
-        b"[]",
-        b"\xff",
-        b"x" * 9000,
-        b"x" * 20_000,
-        b'{"token": "\\ud800"}',
-        b'{"token": 1e999}',
-        b'{"token": ' + b"9" * 5000 + b"}",
-    ],
+    "body", [b"[]", b"\xff", b"x" * 20_000, b'{"token": "\\ud800"}', b'{"token": ' + b"9" * 5000 + b"}"]
 )
 def test_a_sign_in_that_is_no_plain_object_is_refused(body):
     client, own = _at_session_host()
@@ -206,12 +190,6 @@ def test_nobody_can_shut_out_others_by_wrong_guesses_of_a_token_that_was_made():
     client, _ = _at_session_host(token=PageToken(TOKEN, made=True))
     assert {_signs_in(client, "no") for _ in range(20)} == {403}
     assert _signs_in(client, TOKEN) == 200
-
-
-def test_an_unknown_page_is_an_error_in_the_common_shape():
-    answer: httpx.Response = _client().get("/nowhere")
-    assert answer.status_code == 404
-    assert answer.json()["error"]["what"] == "There is no such page."
 
 
 # ---------------------------------------------------------------- the token

@@ -187,16 +187,6 @@ def test_who_is_signed_in_is_answered_while_strangers_hold_connections(monkeypat
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_stranger_who_is_refused_is_closed():
-    with (
-        served(_Counter().app(), token=PageToken("0123456789abcdef")) as server,
-        socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as stranger,
-    ):
-        stranger.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
-        answer = b"".join(iter(lambda: stranger.recv(65536), b""))
-        assert answer.startswith(b"HTTP/1.1 401")
-
-
 def test_no_header_gives_a_guesser_another_address():
     with served(_Counter().app(), token=PageToken("0123456789abcdef")) as server, httpx.Client() as client:
         guesses = [

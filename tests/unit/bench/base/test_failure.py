@@ -15,7 +15,6 @@ from bench.base.failure import FORESEEN, Failure
 from bench.commands.run import show_run
 from bench.record.device_end import DeviceEnd
 from bench.record.events import Event
-from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.runner import RunEnd
 from bench.run.status import line_text, read_status
@@ -143,7 +142,7 @@ def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_ea
         assert head in errors.splitlines()
         assert "Look at the bench" not in errors
         assert [device["state"] for device in read_status(scene.folder).devices] == ["confirmed safe"] * 3
-    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    history = scene.history()
     assert "(failed: views.h5: " in intentions(scene.task, history, None)[0]
 
 
@@ -153,7 +152,7 @@ def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):
     assert scene.run().how == "failed"
     errors.clear()
     assert scene.run().how == "finished"
-    assert replay(read_journal(scene.folder / "journal.jsonl")[0]).failures == [SLIPPED]
+    assert scene.history().failures == [SLIPPED]
 
 
 @pytest.mark.parametrize(

@@ -158,11 +158,6 @@ def test_what_was_typed_before_the_question_does_not_count():
     os.close(keyboard)
 
 
-def test_without_standard_input_the_default_counts(monkeypatch):
-    monkeypatch.setattr("sys.stdin", None)
-    assert asked(None, timeout_s=1, clock=VirtualClock(NIGHT)) == ("abort", "time-out")
-
-
 @pytest.mark.usefixtures("selected")
 def test_a_stop_ends_the_question():
     clock = BenchClock()

@@ -267,18 +267,6 @@ def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_ki
     assert (ended.running, ended.current_run, ended.ended) == (False, "", "finished")
 
 
-def test_a_run_that_is_tried_again_is_in_progress_and_not_failed(tmp_path):
-    clock, seen = NightClock(), []
-    workers = Workers(clock, "failed")
-
-    def work(item, run, log):
-        seen.append(summarise(tmp_path, read_batch(tmp_path))["items"][0])
-        return workers(item, run, log)
-
-    Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, work).run()
-    assert [(item["how"], item["why"]) for item in seen] == [("in progress", ""), ("in progress", "")]
-
-
 # ---------------------------------------------------------------- the time of the system
 
 

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shlex
 import sqlite3
 import subprocess
 import sys
@@ -97,14 +96,6 @@ def test_what_stands_in_place_of_a_run_is_an_invalid_argument(say, words, folder
     status, _, message = say(words[0], folder, *words[1:])
     assert status == 2
     assert all(fact in message for fact in IN_PLACE_OF_A_RUN[folder])
-
-
-def test_a_file_of_a_run_is_refused_and_the_run_is_named(say, tmp_path):
-    (tmp_path / "cam7").mkdir()
-    (tmp_path / "cam7" / "journal.jsonl").write_text("")
-    status, _, message = say("status", "cam7/journal.jsonl")
-    assert status == 2
-    assert "Did you mean cam7?" in message
 
 
 @pytest.mark.parametrize("output", ["file", "file/inside"])
@@ -225,8 +216,11 @@ REFUSED = [
     ("plan three_pose --suggest two", "'two' is not a valid whole number"),
     ("runs --since yesterday", "2026-03-01 or 2026-03-01T21:00"),
     ("keys trust nonsense", "ssh-ed25519"),
+    ("station new practice.yaml --stand-ins keysight --light gardasoft", "--light"),
     # Files in the wrong place.
     ("calibrate q.yaml", "This is a queue"),
+    ("calibrate results.json", "Name the folder of the run"),
+    ("status journal.jsonl", "Did you mean"),
     ("passport show q.yaml", "q.yaml: "),
     *(
         (words, "--station")
@@ -239,6 +233,7 @@ REFUSED = [
 @pytest.mark.parametrize(("words", "what"), REFUSED, ids=lambda value: value[:40].strip())
 def test_words_that_do_not_fit_are_refused_with_what_would(say, words, what):
     Path("journal.jsonl").touch()
+    Path("results.json").write_text("{}")
     Path("q.yaml").write_text("# tonight\nformat: starbench/queue/1\nname: N\n")
     Path("bench.yaml").write_text("format: starbench/station/1\n")
     status, out, err = say(*words.split())
@@ -254,12 +249,6 @@ def test_a_fault_of_a_setting_names_the_option(say, words):
     assert re.search(r"simulated\.yaml \(with --set\):\d+:\d+: nme: unknown key", err)
 
 
-def test_a_file_of_a_run_is_not_calibrated_but_its_folder_is_named(say, tmp_path):
-    (tmp_path / "journal.jsonl").touch()
-    (tmp_path / "results.json").write_text("{}")
-    assert f"Name the folder of the run: {tmp_path}" in say("calibrate", tmp_path / "results.json")[2]
-
-
 def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_on(capsys, tmp_path):
     run = MadeRun(tmp_path / "run7").begin()
     run.record(1)
@@ -271,20 +260,6 @@ def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_o
     assert "The run has finished, so it takes no more commands." in message
     assert f"starbench status {run.folder}" in message
     assert "resume" not in message
-
-
-def test_the_command_that_is_offered_next_can_be_pasted(capsys, tmp_path):
-    path = tmp_path / "Müller's bench 2.yaml"
-    said = out_of(capsys, "station", "new", "--stand-ins", "keysight", path)
-    offered = shlex.split(said.partition("starbench ")[2])
-    assert offered[offered.index("-s") + 1] == str(path)
-
-
-def test_an_option_that_stand_ins_do_not_use_is_refused(capsys, tmp_path):
-    path = tmp_path / "practice.yaml"
-    words = ("--stand-ins", "keysight", "--light", "gardasoft")
-    assert "--light" in refusal(capsys, "station", "new", path, *words, status=2)
-    assert not path.exists()
 
 
 def test_the_home_folder_is_expanded_where_the_shell_does_not(capsys, tmp_path, monkeypatch):

@@ -1,7 +1,6 @@
 """`status --follow`: one block that stays on a terminal, new lines elsewhere; tried on a pseudo-terminal."""
 
 import fcntl
-import json
 import os
 import pty
 import signal
@@ -17,14 +16,12 @@ import pytest
 from terminal_screen import Screen
 from waiting import wait_until
 
-from bench.base.clock import BenchClock
 from bench.base.text_block import Block
 from bench.batch.batch_status import BatchStatus
 from bench.commands.status import status
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
-from bench.record.journal import Journal
-from bench.record.run_folder import RunFolder
+from tests.unit.bench.run.test_status import Run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
 FOLLOW = [sys.executable, "-m", "bench", "status", "--follow"]
@@ -33,28 +30,14 @@ WAIT_S = 20.0
 
 @pytest.fixture(scope="module")
 def planned():
-    return json.dumps(make_plan(*load_documents("three_pose", "simulated")).to_dict()).encode()
+    return make_plan(*load_documents("three_pose", "simulated")).to_dict()
 
 
 @pytest.fixture
 def run(tmp_path, planned):
-    folder = RunFolder.create(tmp_path / "run")
-    folder.write_atomic("plan.json", planned)
-    clock = BenchClock()
-    journal = Journal.create(folder.journal_path, utc_now=clock.utc_now, monotonic=clock.monotonic)
-    journal.append(Event.RUN_STARTED, id="run-7", simulated=True)
-
-    class Run:
-        path = folder.path
-        tell = staticmethod(journal.append)
-
-        @staticmethod
-        def die():
-            journal.close()
-            folder.close()
-
-    yield Run
-    Run.die()
+    run = Run(tmp_path / "run", planned)
+    yield run
+    run.die()
 
 
 class Followed:

@@ -11,7 +11,7 @@ from refusals import full
 from solved_run import write_solved_run
 
 from bench.measure import kept_views
-from bench.measure.kept_views import DETECTOR_SOURCES, KeptViews, detector_version, pack_view, view_key
+from bench.measure.kept_views import DETECTOR_SOURCES, KeptViews, pack_view, view_key
 from bench.measure.measure import Measurement
 from bench.measure.views_file import read_views
 from bench.plan.job import Job
@@ -178,18 +178,6 @@ def test_several_writers_of_one_entry_leave_it_whole(kept):
     assert [path.name for path in (kept.folder / key[:2]).iterdir()] == [f"{key}.view"]
 
 
-def test_a_recording_with_holes_is_not_hashed(kept, recording, monkeypatch):
-    with recording.open("r+b") as file:
-        file.truncate(10 << 30)
-    monkeypatch.setattr("bench.measure.kept_views.sha256_of", lambda _: pytest.fail("it was hashed"))
-
-    def find():
-        raise ValueError("holes")
-
-    with pytest.raises(ValueError, match="holes"):
-        kept.view(recording, OPTIONS, find)
-
-
 def test_the_version_of_the_detector_covers_all_that_finds_stars():
     """Every module of ours that a detector imports is part of the hash, or has no influence on a view."""
     without_influence = {
@@ -209,16 +197,6 @@ def test_the_version_of_the_detector_covers_all_that_finds_stars():
     for detector in ("bench.measure.measure", "calib.boards.detect", "drivers.camera.formats"):
         for module in graph.find_upstream_modules(detector):
             assert module.startswith((*hashed, *without_influence)), f"{detector} imports {module}"
-
-
-def test_the_version_changes_with_a_source(monkeypatch, tmp_path):
-    before = detector_version()
-    assert before == detector_version.__wrapped__()
-    changed = tmp_path / "calib" / "errors.py"
-    changed.parent.mkdir()
-    changed.write_text("")
-    monkeypatch.setattr(kept_views, "source_files", lambda _root: [])
-    assert detector_version.__wrapped__() != before
 
 
 # ---------------------------------------------------------------- a run keeps its own

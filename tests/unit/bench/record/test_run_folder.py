@@ -65,13 +65,6 @@ def test_a_folder_that_holds_something_is_refused_left_alone_and_not_left_locked
     RunFolder.create(tmp_path).close()
 
 
-def test_a_file_in_the_way_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    for path in ("file/run", "file"):
-        with pytest.raises(StorageError, match="file"):
-            RunFolder.create(tmp_path / path)
-
-
 def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(run_folder_module, "RESERVE_BYTES", 10**15)

@@ -7,8 +7,7 @@ from rehearsed import TWO, Scene, with_runner
 
 from bench.base.progress import Progress
 from bench.record.events import Event
-from bench.record.history import Attempt, History, replay
-from bench.record.journal import read_journal
+from bench.record.history import Attempt, History
 from bench.run.control import Command
 from bench.run.steps import seen_before
 from bench.solve.results_content import pose_data
@@ -25,7 +24,7 @@ def doomed(folder, on_failure, attempts=2):
 
 def content(scene):
     """What the results would tell of the poses."""
-    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    history = scene.history()
     return {"poses": pose_data(history, [], scene.task.camera_kind), "deviations": history.deviations}
 
 

@@ -12,7 +12,6 @@ import bench.batch.rehearsal
 from bench.measure.measure import Measurement
 from bench.plan.plan import CHECK_S
 from bench.record.events import Event
-from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.control import Command
 from sequences.script import RecordStep
@@ -53,7 +52,7 @@ def story(scene):
 
 def see_each_pose_once(scene):
     """Each pose is accepted once, where it was commanded, and every step is done once."""
-    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    history = scene.history()
     assert sorted(history.accepted()) == [1, 2, 3]
     accepted = [data["pose"] for data in scene.data_of(Event.ATTEMPT_CHECKED) if data["accepted"]]
     assert sorted(accepted) == [1, 2, 3]
@@ -128,6 +127,6 @@ def test_a_pose_in_check_that_an_operator_skips_counts_if_it_is_accepted_and_is_
         reject(rejected)
         scene.at("stage.move_to", 2, lambda scene=scene: scene.runner.inbox.decide(SKIP, "request"))
         assert scene.run().how == "finished"
-        history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+        history = scene.history()
         assert sorted(history.accepted()) == poses, name
         assert (1 in history.skipped) is (name == "bad")

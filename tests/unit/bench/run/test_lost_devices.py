@@ -8,8 +8,7 @@ from rehearsed import TWO, Scene
 from bench.commands.run import show_run
 from bench.record.device_end import DEVICES, NOT_ASKED
 from bench.record.events import Event
-from bench.record.history import replay
-from bench.record.journal import Journal, read_journal
+from bench.record.journal import Journal
 from bench.run.run_devices import NOT_REOPENED
 from bench.run.states import NOT_STATED, connections
 from bench.run.status import read_status, status_text
@@ -23,12 +22,7 @@ EVK4 = CameraIdentity("Prophesee", "EVK4", "IMX636", "00051234", "3.9.0", 1280, 
 
 @pytest.mark.parametrize(
     ("link_mbit_s", "link_text"),
-    [
-        (None, NOT_STATED),
-        (480, "480 Mbit/s (USB 2)"),
-        (5000, "5000 Mbit/s (USB 3)"),
-        (10000, "10000 Mbit/s (USB 3)"),
-    ],
+    [(None, NOT_STATED), (480, "480 Mbit/s (USB 2)"), (5000, "5000 Mbit/s (USB 3)")],
 )
 def test_the_speed_of_the_connection_is_told(link_mbit_s, link_text):
     camera = CameraIdentity(**{**vars(EVK4), "link_mbit_s": link_mbit_s})
@@ -192,5 +186,5 @@ def test_a_resumed_run_without_devices_claims_only_what_was_seen(tmp_path, monke
     state, reason = left(scene)["light"]
     assert state == ("confirmed safe" if ended else "not confirmed")
     assert (reason == NOT_ASKED) is not ended
-    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    history = scene.history()
     assert [end["device"] for end in history.devices_left] == list(DEVICES)

@@ -86,15 +86,6 @@ FAILED = (Event.RUN_ENDED, {"how": "failed", "why": "x"})
         ([RECORDING, LIGHTING, CRASHED], {}),
         ([RECORDING, CRASHED, CRASHED], {2: 1}),
     ],
-    ids=[
-        "twice",
-        "while settling",
-        "unforeseen",
-        "killed from outside",
-        "failed",
-        "elsewhere",
-        "before any pose",
-    ],
 )
 def test_crashes_count_against_the_pose_at_work_and_kills_do_not(tmp_path, lines, crashes):
     assert lived(tmp_path, *lines).crashes == crashes

@@ -11,7 +11,6 @@ from rehearsed import Scene, with_runner
 
 from bench.base.errors import RunFolderError
 from bench.base.progress import Reply
-from bench.commands.status import follow
 from bench.measure.measure import Measurement, StoredImage
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Commanded, Event
@@ -174,15 +173,6 @@ def test_the_reason_of_a_failure_is_told_once_and_its_page_is_named(run):
     assert text.count("The image is out of focus") == 1
     assert "attempt 1 at pose 1: as above" in text
     assert f"Report: {run.path / 'report.html'}" in text
-
-
-def test_following_shows_each_change_and_ends_with_the_run(run):
-    def sleep(_):
-        run.tell(Event.RUN_ENDED, how="finished", why="")
-        run.die()
-
-    shown = [now for now, _ in follow(run.path, sleep)]
-    assert [(s.running, s.ended) for s in shown] == [(True, ""), (False, "finished")]
 
 
 def test_a_plan_of_another_program_is_refused(run):

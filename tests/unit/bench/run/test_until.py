@@ -11,7 +11,6 @@ from bench.commands.run import show_run
 from bench.record.events import Event
 from bench.run.control import Command
 from bench.run.status import read_status, status_text
-from bench.solve import interim, next_pose
 from drivers.errors import RecordingFailed
 
 NEVER = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"
@@ -96,16 +95,6 @@ def test_a_pose_that_fails_is_left_behind_and_not_chosen_again(tmp_path):
     assert "skipped" in scene.data_of(Event.DEVIATION)[0]["what"]
 
 
-def test_a_failed_pose_ends_the_run_if_the_sequence_says_so_and_a_resumed_run_tries_it_again(tmp_path):
-    scene = until_scene(tmp_path, NEVER.replace("at_most", "record: {on_failure: fail}, at_most"))
-    scene.fail_at("camera.record", 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
-    assert scene.run().how == "failed"
-    first = decisions(scene)
-    assert scene.run().how == "finished"
-    assert decisions(scene)[: len(first)] == first
-    assert sorted(angles(scene)) == [1, 2, 3, 4, 5]
-
-
 def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_path, monkeypatch):
     scene = with_runner(until_scene(tmp_path, NEVER), monkeypatch)
     refused = []
@@ -120,28 +109,6 @@ def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_pat
     assert [answer["taken"] for answer in refused] == [False, True]
     assert sorted(angles(scene)) == [1, 2, 3, 5, 6]
     assert decisions(scene)[-1]["ended"] == "at_most"
-
-
-def test_a_hold_between_choice_and_move_goes_on_at_the_chosen_pose(tmp_path, monkeypatch):
-    scene = with_runner(until_scene(tmp_path, NEVER), monkeypatch)
-    held = []
-
-    def hold_and_release(name):
-        if name == "stage.move_to" and scene.calls.count(name) == 4 and not held:
-            held.append(scene.runner.inbox.decide(Command(word="hold", by="ada"), "one"))
-        elif name == "light.off" and len(held) == 1:
-            held.append(scene.runner.inbox.decide(Command(word="release", by="ada"), "two"))
-
-    scene.hook = hold_and_release
-    assert scene.run().how == "finished"
-    assert "holding" in scene.states()
-    assert len(angles(scene)) == 5
-    chosen = {
-        decision["chosen"]["pose"]: decision["chosen"]["angles_deg"]
-        for decision in decisions(scene)
-        if "chosen" in decision
-    }
-    assert all(angles(scene)[pose] == at for pose, at in chosen.items())
 
 
 def test_without_a_start_it_begins_with_what_the_station_expects(tmp_path):
@@ -160,24 +127,5 @@ def test_poses_recorded_before_it_count_in_the_calibration_but_not_in_its_bound(
     (tmp_path / "s.yaml").write_text(text.replace("  - until:", before))
     scene = Scene(tmp_path, sequence=tmp_path / "s.yaml")
     assert scene.run().how == "finished"
-    assert [(decision["poses"], decision["recorded"]) for decision in decisions(scene)] == [
-        (3, 0),
-        (4, 1),
-        (5, 2),
-    ]
-
-
-def test_a_stop_while_it_chooses_ends_the_run_safely_and_it_goes_on(tmp_path, monkeypatch):
-    scene = until_scene(tmp_path, NEVER)
-    real, asked = next_pose.choose_pose, []
-
-    def choose(*given, **more):
-        if not asked:
-            asked.append(scene.clock.request_stop("enough"))
-        return real(*given, **more)
-
-    monkeypatch.setattr(interim, "choose_pose", choose)
-    assert scene.run().how == "aborted"
-    assert not scene.light_is_on()
-    assert scene.run().how == "finished"
-    assert [decision["step"] for decision in decisions(scene)] == [11, 15, 19]
+    counts = [(decision["poses"], decision["recorded"]) for decision in decisions(scene)]
+    assert counts == [(3, 0), (4, 1), (5, 2)]

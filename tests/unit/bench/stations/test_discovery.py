@@ -10,11 +10,11 @@ from calling import call, out_of
 from filled_stations import filled, filled_example
 
 from bench.base.clock import BenchClock
-from bench.commands.station import show_devices, station_new
+from bench.commands.station import station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.simulated import SimulatedBench
 from bench.stations import discovery
-from bench.stations.asked_devices import AskedAxis, ask_light, ask_stage, dialect_of
+from bench.stations.asked_devices import ask_light, ask_stage, dialect_of
 from bench.stations.discovery import Discovery, FoundPort, discover
 from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL
 from bench.stations.practice import draft_stand_ins
@@ -89,14 +89,6 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
         assert camera.source == (WEBCAM.source if cameras else "/dev/v4l/by-id/CHOOSE-A-CAMERA")
 
 
-def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
-    show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)))
-    output = capsys.readouterr().out
-    assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in output
-    assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in output
-    assert "missing      Something." in output
-
-
 @pytest.mark.parametrize("stage", CHOICES["stage"])
 @pytest.mark.parametrize("light", CHOICES["light"])
 def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage, light):
@@ -144,23 +136,6 @@ def test_every_stage_and_every_light_has_a_stand_in_that_can_be_planned(tmp_path
     assert (station.stage.driver, station.light.driver) == (stage, driver)
     assert set(station.axes) == {"pan", "tilt"}
     assert make_plan(*load_documents("three_pose", str(path))).faults == ()
-
-
-def test_a_stand_in_states_what_it_answers(tmp_path):
-    path = tmp_path / "practice.yaml"
-    path.write_text(draft_stand_ins("rigol"))
-    station = load_station(str(path)).value
-    assert (station.light.dialect, station.light.serial) == ("numbered", "SG0042")
-    assert {name: (axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()} == {
-        "pan": ("100101", (-12.0, 12.0)),
-        "tilt": ("100102", (-10.0, 10.0)),  # as far as the controller allows
-    }
-
-
-def test_a_draft_states_which_length_the_certificate_of_the_collimator_is(tmp_path):
-    path = tmp_path / "bench.yaml"
-    path.write_text(filled(draft_station(Discovery((), (), ()), stage="zaber_ascii", certified="seen")))
-    assert load_station(str(path)).value.collimator.certificate.length == "seen"
 
 
 def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
@@ -248,13 +223,6 @@ def refused_link(*_, **__):
     raise ReplyTimeout("no complete reply", where="/dev/board")
 
 
-def test_where_nobody_can_agree_a_board_is_not_asked(capsys, tmp_path):
-    words = ("--stage", "grbl", "--port", "/dev/none")
-    errors = call(capsys, "station", "new", tmp_path / "a.yaml", *words).err
-    assert "may restart it: it then loses its position" in errors
-    assert "The board was not asked" in errors
-
-
 @pytest.mark.parametrize(("stage", "asked"), [("thorlabs_apt", [1]), ("ximc", []), ("zaber_ascii", [0, 1])])
 def test_controllers_without_text_are_asked_only_at_ports_named_by_their_maker(stage, asked):
     names = (
@@ -277,12 +245,6 @@ def test_controllers_without_text_are_asked_only_at_ports_named_by_their_maker(s
 )
 def test_the_dialect_follows_from_maker_and_model(maker, model, dialect):
     assert dialect_of(maker, model) == dialect
-
-
-def test_a_scale_that_the_controller_states_gives_limits_within_its_travel():
-    axis = AskedAxis("pan", 1, "7", 6400.0, (-32000, 128000))
-    assert axis.limits_deg() == (-5.0, 12.0)
-    assert axis.remark == ""
 
 
 def test_the_plan_tells_a_missing_package(capsys, monkeypatch, tmp_path):
