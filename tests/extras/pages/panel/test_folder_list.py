@@ -11,7 +11,6 @@ from journals import MadeRun, made_batch
 from bench.base.errors import RunFolderError
 from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.extras.pages.panel.folder_list import FolderList
-from bench.record.folder_lock import lock_folder
 
 
 def _look(root):
@@ -37,27 +36,6 @@ def test_runs_of_all_kinds_newest_first(tmp_path):
     assert rows["a"]["accepted"] == 3
     assert rows["a"]["camera"] == "42"
     assert listing["faults"] == []
-
-
-def test_a_run_in_progress_is_read_on_and_an_ended_one_only_once(tmp_path, monkeypatch):
-    run = MadeRun(tmp_path / "a").begin()
-    MadeRun(tmp_path / "old").begin().end()
-    lock = lock_folder(run.folder)
-    try:
-        listed = FolderList(tmp_path)
-        assert [row["verdict"] for row in listed.look()["runs"] if row["key"] == "a"] == ["running"]
-        opened = []
-        real = type(run.path).open
-        monkeypatch.setattr(
-            type(run.path), "open", lambda self, *a, **k: opened.append(self) or real(self, *a, **k)
-        )
-        run.record(1)
-        opened.clear()
-        row = next(row for row in listed.look()["runs"] if row["key"] == "a")
-        assert row["accepted"] == 1
-        assert set(opened) == {run.path}
-    finally:
-        os.close(lock)
 
 
 def test_a_damaged_run_is_listed_with_its_fault(tmp_path):

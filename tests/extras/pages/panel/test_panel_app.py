@@ -14,7 +14,6 @@ from pages import served
 from waiting import wait_until
 
 from bench.base.clock import Aborted
-from bench.extras.pages.panel.journal_tail import JournalTail
 from bench.extras.pages.panel.panel_app import Panel, panel_app
 from bench.extras.pages.web.token import PageToken
 from bench.record.events import Asked
@@ -117,28 +116,6 @@ def test_the_end_of_a_process_is_told_although_the_journal_is_silent(run, server
         assert stream.until(lambda m: m["head"]["running"])[-1]["head"]["verdict"] == "running"
     with streamed(server, "api/run/run7/events") as stream:
         assert stream.until(lambda m: not m["head"]["running"])[-1]["head"]["verdict"] == "interrupted"
-
-
-def test_twenty_pages_read_the_journal_once(run, monkeypatch):
-    panel = Panel(run.folder.parent)
-    with served(panel.app()) as server:
-        answers = [
-            httpx.stream("GET", f"{server.url}api/run/run7/events", timeout=PATIENCE_S) for _ in range(20)
-        ]
-        streams = [Stream(answer.__enter__()) for answer in answers]
-        try:
-            for stream in streams:
-                stream.until(lambda m: m["head"]["accepted"] == 1)
-            reads, real = [], JournalTail.read
-            monkeypatch.setattr(JournalTail, "read", lambda tail: reads.append(tail) or real(tail))
-            run.record(2)
-            for stream in streams:
-                stream.until(lambda m: m["head"]["accepted"] == 2)
-            assert len(reads) <= 4
-            assert len(set(reads)) == 1
-        finally:
-            for answer in answers:
-                answer.__exit__(None, None, None)
 
 
 def test_an_address_of_no_run_is_one_clear_error(server):

@@ -1,11 +1,8 @@
 """Loops are compiled by programs of their own, once, and only where they are used."""
 
 import os
-import subprocess
-import sys
 
 import pytest
-from expected_stars import THREE, expected_views, write_points
 from filled_stations import filled
 
 from bench.base import compiled_loops
@@ -75,19 +72,3 @@ def test_a_run_wants_the_loops_of_its_station_before_its_folder_is_made(
         )
     assert set(caught.value.args) == programs
     assert not (tmp_path / "run").exists()
-
-
-def test_a_calibration_of_points_compiles_nothing(tmp_path):
-    cache = tmp_path / "cache"
-    cache.mkdir()
-    points = write_points(tmp_path / "points", expected_views(THREE, sigma_px=0.01, seed=5), every=3)
-    done = subprocess.run(
-        [sys.executable, "-m", "bench", "calibrate", points],
-        env={**os.environ, VARIABLE: str(cache), "STARBENCH_HOME": str(tmp_path / "home")},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "ompil" not in done.stderr
-    assert not [path for path in cache.rglob("*") if path.is_file()]

@@ -92,13 +92,6 @@ def test_a_job_at_the_very_moment_of_the_start_does_not_wait_a_day():
     assert item.due_s == pytest.approx(7200, abs=1e-3)
 
 
-def test_what_does_not_fit_before_the_morning_gives_way_to_what_does():
-    items = items_of([job("long"), job("short")], EVENING)
-    lasts = {"long": 3600, "short": 60}
-    slots = look_ahead(items, 0, Bounds(done_by_s=600), lambda item: lasts[item.job.name])
-    assert [(slot.item.key, slot.end_s) for slot in slots] == [("short-001", 60), ("long-001", None)]
-
-
 def test_a_run_may_last_beyond_the_last_begin_but_not_begin_after_it():
     bounds = Bounds(last_begin_s=100)
     (item,) = items_of([job()], EVENING)

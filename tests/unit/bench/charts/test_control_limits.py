@@ -1,14 +1,10 @@
 """Control limits and drift against published examples and theory."""
 
-import math
-
 import numpy as np
 import pytest
 
 from bench.charts.statistics import (
     D2,
-    EWMA_LIMIT,
-    EWMA_WEIGHT,
     ewma,
     find_drift,
     holm,
@@ -46,26 +42,43 @@ def test_values_that_do_not_vary_are_in_control_and_a_change_is_not():
     assert individuals([3345.1] * 10 + [3345.2], baseline=10)["beyond"] == (10,)
 
 
-def markov_run_length(weight, limit, shift=0.0, cells=301):
-    """Average run length with limits that do not widen: Lucas and Saccucci, Technometrics 32 (1990) 1."""
-    half = limit * math.sqrt(weight / (2 - weight))
-    width = 2 * half / cells
-    middle = -half + width * (np.arange(cells) + 0.5)
-    normal = np.vectorize(lambda z: 0.5 * math.erfc(-z / math.sqrt(2)))
-    ends = (middle[None, :] - (1 - weight) * middle[:, None]) / weight - shift
-    step = normal(ends + width / (2 * weight)) - normal(ends - width / (2 * weight))
-    return float(np.linalg.solve(np.eye(cells) - step, np.ones(cells))[cells // 2])
-
-
-def test_the_chosen_limit_of_the_average_has_the_run_length_of_three_sigma():
-    assert markov_run_length(0.2, 2.962) == pytest.approx(500, rel=0.01)  # published, Lucas and Saccucci
-    assert markov_run_length(0.2, 2.962, 1.0) == pytest.approx(10.5, rel=0.02)  # published
-    assert markov_run_length(EWMA_WEIGHT, EWMA_LIMIT) == pytest.approx(370, rel=0.02)
+def test_the_limits_of_the_average_follow_from_the_weights_of_its_values():
+    chart = ewma(VISCOSITY, 33.5, 0.4, weight=0.2, limit=3.0)
+    for last in range(len(VISCOSITY)):
+        weights = 0.2 * 0.8 ** np.arange(last, -1.0, -1.0)
+        assert chart["values"][last] == pytest.approx(
+            33.5 + weights @ (np.array(VISCOSITY[: last + 1]) - 33.5)
+        )
+        half = 3.0 * 0.4 * np.linalg.norm(weights)
+        assert (chart["lower"][last], chart["upper"][last]) == pytest.approx((33.5 - half, 33.5 + half))
 
 
 # ---------------------------------------------------------------- drift
 
 NO_WARMTH = [None] * 400
+
+
+def test_a_slope_is_that_of_a_line_with_the_stated_weights():
+    rng = np.random.default_rng(1)
+    days, u = np.arange(30.0), rng.uniform(1.5, 4.5, 30)
+    y = 3345.0 + 0.2 * days + rng.normal(0, 0.5 * u)  # scatters less than stated
+    drift = find_drift(days, NO_WARMTH[:30], y, u)
+    line, covariance = np.polyfit(days, y, 1, w=1 / u, cov=True)
+    assert (drift.per_day["value"], drift.per_day["sigma"]) == pytest.approx(
+        (line[0], covariance[0, 0] ** 0.5)
+    )
+    residuals = (y - np.polyval(line, days)) / u
+    assert (drift.between_runs, drift.scatter) == (0.0, pytest.approx((residuals @ residuals / 28) ** 0.5))
+
+
+def test_the_scatter_between_runs_is_what_the_stated_uncertainties_do_not_explain():
+    rng = np.random.default_rng(2)
+    u = rng.uniform(0.5, 1.5, 20)
+    y = rng.normal(0, 3.0, 20)
+    drift = find_drift([0.0] * 20, NO_WARMTH[:20], y, u)
+    weights = 1 / (u**2 + drift.between_runs**2)
+    assert weights @ (y - np.average(y, weights=weights)) ** 2 == pytest.approx(19)
+    assert drift.per_day is None
 
 
 def test_both_slopes_are_found_together_and_told_apart():

@@ -1,7 +1,6 @@
 """What a shell meets: commands that load little, and completion."""
 
 import os
-import shutil
 import subprocess
 import sys
 
@@ -79,27 +78,3 @@ def test_stations_and_sequences_are_proposed_and_the_shell_completes_paths():
     assert proposed("station", "new", "x.yaml", "--light", "g") == [("plain", "gardasoft")]
     assert proposed("run", "my_se") == [("file", "my_se")]
     assert proposed("resume", "runs/") == [("dir", "runs/")]
-
-
-def test_bash_takes_the_script_and_completes_with_it(tmp_path):
-    bash = shutil.which("bash")
-    if bash is None:
-        pytest.skip("bash is not installed")
-    program = tmp_path / "starbench"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m bench "$@"\n', encoding="utf-8")
-    program.chmod(0o755)
-    script = """
-eval "$(_STARBENCH_COMPLETE=bash_source starbench)"
-COMP_WORDS=(starbench keys ro); COMP_CWORD=2
-_starbench_completion starbench
-echo "${COMPREPLY[@]}"
-"""
-    done = subprocess.run(
-        [bash, "--norc", "-c", script],
-        env={"PATH": f"{tmp_path}:/usr/bin:/bin", "HOME": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    )
-    assert done.stdout.strip() == "rotate"

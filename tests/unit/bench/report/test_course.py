@@ -7,7 +7,6 @@ from bench.report.pose_tables import courses
 from bench.report.run_tables import alerts
 from bench.wording.goals import goals_text, missed_text, reached_text
 from bench.wording.numbers import MINUS, NOTHING
-from tests.support.printed_text import printed_text
 
 WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}
 
@@ -51,16 +50,6 @@ def test_every_decision_is_a_row_with_what_was_reached_and_what_follows():
     assert (second["why"], last["why"]) == ("the rim", "the goals are met")
     assert course["end"] == "The goals are met."
     assert course["minutes"] == "5.0"
-
-
-def test_the_page_says_how_it_ended_and_draws_the_course():
-    html = page(COURSE)
-    words = " ".join(printed_text(html))
-    assert "Until the goals: U(fx) is at most 2 px and U at the corners at most 0.3 px" in words
-    assert "The goals are met." in words
-    assert "worked for 5.0 minutes" in words
-    assert 'aria-label="Expanded uncertainty after each pose"' in html
-    assert "expected with all poses allowed" in html
 
 
 def test_a_goal_that_was_not_met_is_named_before_the_values():

@@ -1,7 +1,5 @@
 """What a person reads first, on any screen: warnings before the numbers, tables that fit and can be read aloud."""
 
-from lxml.html import fromstring
-
 from bench.report.html import ReportData, render_report
 
 
@@ -24,15 +22,3 @@ def test_an_error_that_ended_the_run_before_it_was_resumed_keeps_its_kind_and_pl
     html = page_with(data, gates=[], deviations=[], failures=[error])
     text = "The run failed and was resumed. PortLost (/dev/gimbal): The port is gone."
     assert html.count(text) == 2  # before the result, and among the deviations
-
-
-def test_every_table_scrolls_by_itself_and_its_headings_say_what_they_head(html):
-    page = fromstring(html)
-    tables = page.xpath("//table")
-    scrolled = "ancestor::div[contains(concat(' ', @class, ' '), ' wide ')][@aria-label]"
-    assert len(tables) >= 9
-    assert [table.get("class") for table in tables if not table.xpath(scrolled)] == [
-        "result"
-    ]  # which fits any screen
-    assert page.xpath("//th[not(@scope)]") == []
-    assert all(head.text_content().strip() for head in page.xpath("//th"))

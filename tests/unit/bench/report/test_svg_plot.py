@@ -1,8 +1,6 @@
 """Charts of a report: their frame, their scales, and the outlines of maps."""
 
 import re
-import subprocess
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +11,6 @@ from hypothesis import strategies as st
 from bench.report.contours import outlines
 from bench.report.svg_plot import Key, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, log_ticks, tick_labels, ticks
-from tests.unit.bench.report.structure import Structure
 
 # ---------------------------------------------------------------- the frame
 
@@ -44,28 +41,6 @@ def test_points_lie_where_the_scales_put_them():
     axes.dots(np.empty((0, 2)), "#123456", 1.0)
     axes.dots([(10, 1)], "#123456", 1.0)
     assert picture.svg().count("#123456") == 1
-
-
-def test_a_picture_says_in_words_what_it_shows_and_words_cannot_become_markup():
-    picture = Picture(10, 10, "p", "short", "The mean is 3 px.")
-    assert 'aria-label="short"' in picture.svg()
-    assert "<desc>The mean is 3 px.</desc>" in picture.svg()
-    evil = "</svg><script>\"'&"
-    axes, picture = framed(words=Words((evil,), evil, evil, [Key(evil, "#000000")]))
-    axes.text((1, 1), evil)
-    picture.label = picture.about = evil
-    structure = Structure(picture.svg())
-    assert (structure.wrong, structure.open) == ([], [])
-    assert "script" not in structure.tags
-
-
-def test_a_report_and_its_charts_load_no_library_that_draws():
-    code = (
-        "import sys; import bench.report.plots, bench.report.pose_tables, bench.report.batch_page,"
-        " bench.report.control_chart; print('matplotlib' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
 
 
 # ---------------------------------------------------------------- values along an axis

@@ -5,12 +5,11 @@ import json
 import re
 from pathlib import Path
 
-from report_sample import SIGMA, SMALL, TRUE, sample
+from report_sample import SMALL, sample
 
 from bench.base.bounded_json import canonical_json
 from bench.report.html import ReportData, render_report
 from tests.support.printed_text import printed_text
-from tests.unit.bench.report.structure import Structure
 
 
 def test_simulated_stands_on_screen_in_the_title_and_on_every_printed_page(html):
@@ -34,20 +33,6 @@ def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
     results = copy.deepcopy(dict(data.results))
     del results["run"]["ledger"]
     assert "ledger" not in " ".join(printed_text(render_report(ReportData(results)))).lower()
-
-
-def test_a_planar_calibration_without_devices_is_reported_too(data):
-    results = {
-        "run": data.results["run"] | {"simulated": False},
-        "calibration": dict(data.results["calibration"]),
-    }
-    results["calibration"] |= {"model": "planar", "collimator": None}
-    results["calibration"]["sigma"] = {name: SIGMA[name] for name in TRUE}
-    html = render_report(ReportData(results))
-    structure = Structure(html)
-    assert (structure.wrong, structure.open) == ([], [])
-    assert "its own position and its own rotation" in html
-    assert not {"Poses", "Gates", "Recordings", "Devices"} & set(printed_text(html))
 
 
 #: In results.json only if the station states it, or if a board was seen; not in the sample.

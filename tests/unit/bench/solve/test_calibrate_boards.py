@@ -9,7 +9,6 @@ import pytest
 from board_photographs import photograph
 from calling import call
 
-from bench.commands.calibrate import run_text
 from bench.measure.moving_recording import MovingRecording
 from bench.solve import loose_recordings
 from calib.model.camera import CameraModel
@@ -111,20 +110,6 @@ def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
 def test_options_that_contradict_a_board_are_refused(folder, capsys, more, reason):
     captured = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", *more, status=2)
     assert reason in captured.err
-
-
-# ---------------------------------------------------------------- a board has points
-
-ROW = {
-    "folder": "runs/cam7", "state": "done", "values": {"fx": 3345.0}, "sigma": {"fx": 1.0}, "coverage_factor": 2.0,
-    "coverage_factors": {},
-    "views": 12, "stars": 924, "left_out": [], "converged": True, "before": None,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("board", "words"), [("checkerboard:11x7:20mm", "924 points"), (None, "924 stars")])
-def test_a_recalibrated_run_counts_what_its_target_has(board, words):
-    assert words in run_text({**ROW, "board": board})
 
 
 # ---------------------------------------------------------------- a recording of a moving camera

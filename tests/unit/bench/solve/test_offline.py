@@ -47,15 +47,6 @@ def test_views_of_different_image_sizes_are_refused(names, pictures):
         views_of_one_size(views, pictures)
 
 
-def test_every_picture_that_is_turned_is_named_before_the_others():
-    views = [view(f"lying {n}", (1280, 720)) for n in range(8)]
-    views += [view("first on end", (720, 1280)), view("last on end", (720, 1280))]
-    with pytest.raises(BenchError) as refused:
-        views_of_one_size(views, [True] * 10)
-    shown = "720 x 1280 px (first on end, last on end), 1280 x 720 px (lying 0, lying 1, lying 2, lying 3, lying 4 and 3 more)"
-    assert shown in str(refused.value)
-
-
 def sized(name, *, is_sized=True):
     return ViewSource(Path(f"{name}.png"), lambda: None, sized=is_sized)
 

@@ -4,7 +4,6 @@ from importlib.metadata import version
 
 import pytest
 
-from bench.report.run_tables import software as report_rows
 from bench.solve import software as software_module
 from bench.solve.results_content import software
 from bench.solve.software import files_software, plugins_missing, plugins_of_run, plugins_stated, run_software
@@ -67,11 +66,3 @@ def test_a_plugin_that_is_missing_here_or_has_another_version_is_named(brought):
     assert plugins_missing(here) == []
     here["software"]["starbench-turn"] = "1.3"
     assert plugins_missing(here) == ["starbench-turn 1.3"]
-
-
-def test_the_report_says_which_driver_a_package_brought():
-    run = {"software": {"numpy": "2.0", "starbench-turntable": "1.0"}, "plugins": STARTED["plugins"]}
-    assert report_rows({"run": run}) == [
-        ("numpy", "2.0"),
-        ("starbench-turntable", "1.0 (plug-in: stage turntable)"),
-    ]

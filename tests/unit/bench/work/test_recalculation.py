@@ -151,24 +151,6 @@ def test_an_interrupted_recalculation_goes_on_where_it_was(folders, tmp_path):
     assert len(list((tmp_path / "out").iterdir())) == 4
 
 
-def test_a_row_without_its_folder_counts_as_not_done(folders, tmp_path, monkeypatch):
-    """The command dies after the row was written and before the folder got its name."""
-
-    def die(*_):
-        raise KeyboardInterrupt
-
-    with ResultsFolders(tmp_path / "out", None) as output:
-        monkeypatch.setattr("pathlib.Path.rename", die)
-        with pytest.raises(KeyboardInterrupt):
-            recalculate(folders[:1], output)
-        monkeypatch.undo()
-    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith("cam1")]
-    monkeypatch.setattr("bench.solve.result.render_report", lambda _data: "<!DOCTYPE html>")
-    with ResultsFolders(tmp_path / "out", None) as output:
-        (row,) = recalculate(folders[:1], output)
-    assert (tmp_path / "out" / row["results"] / "results.json").is_file()
-
-
 def test_a_run_that_fails_or_vanishes_stops_no_other(folders, tmp_path):
     for file in folders[0].glob("*.csv"):
         file.write_text("no points\n")
