@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 from calling import ended
-from command_words import NOBODY, check_words, commands
+from command_words import CORE, NOBODY, check_help, check_words, commands, examples
 
 from bench.commands.cli import cli
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = dict(commands(cli.list_commands(NOBODY)))
+BROUGHT = dict(commands(name for name in cli.list_commands(NOBODY) if name not in CORE))
+COMMANDS = {**dict(commands(CORE)), **BROUGHT}
 
 
 @pytest.fixture(autouse=True)
@@ -26,6 +27,18 @@ def say(capsys):
         return status, captured.out, captured.err
 
     return called
+
+
+@pytest.mark.parametrize("words", sorted(BROUGHT))
+def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words):
+    status, text, _ = say(*words.split(), "--help")
+    assert status == 0
+    check_help(words, BROUGHT[words], text)
+
+
+@pytest.mark.parametrize("line", examples(BROUGHT))
+def test_an_example_uses_existing_arguments_and_options(line):
+    assert check_words(line) == []
 
 
 def shown_in_documents():

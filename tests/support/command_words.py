@@ -4,9 +4,10 @@ import shlex
 
 import click
 
-from bench.commands.cli import cli
+from bench.commands.cli import SECTIONS, cli
 
 NOBODY = click.Context(cli)
+CORE = [name for section in SECTIONS.values() for name in section]
 
 
 def commands(names, group=cli, path=()):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 from hostile_files import (
@@ -19,6 +21,9 @@ from hostile_files import (
     YAML,
 )
 from station_texts import PLAIN
+
+_EXTRAS = {"align", "convert", "certificate", "check", "rig", "undistort"}
+"""Commands of `bench.extras`: the names of their cases have the command as a part."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +200,7 @@ STATION_VALUES = {
         "simulation: {}",
         "simulation: {}\nlimits: [" + "{result: fx, upper: 1}, " * 200 + "]",
     ),
-    "check-standard": ("simulation: {}", "simulation: {}\ncheck_standard: {serial: [5]}"),
+    "standard": ("simulation: {}", "simulation: {}\ncheck_standard: {serial: [5]}"),
     "passport-device": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: /dev/zero"),
     "passport-fifo": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: pipe"),
 }
@@ -329,8 +334,8 @@ def odd_folders(run: Path) -> Iterator[Case]:
         "set-long": ("plan", "three_pose", "--station", "simulated", "--set", "sequence.name=" + "[" * 5000),
         "trust-rubbish": ("keys", "trust", "\x1b[2J ssh-ed25519 AAAA"),
         "trust-long": ("keys", "trust", "x" * 100_000),
-        "number": ("undistort", "bad", "-o", "a", "--keep", "1e-320"),
-        "underscore": ("undistort", "bad", "-o", "a", "--keep", "1_0"),
+        "undistort-number": ("undistort", "bad", "-o", "a", "--keep", "1e-320"),
+        "undistort-underscore": ("undistort", "bad", "-o", "a", "--keep", "1_0"),
         "image-size": ("calibrate", "points.csv", "--image-size", "99999999999x1"),
     }.items():
         yield Case(f"words:{name}", options(*words), named=False)
@@ -371,7 +376,7 @@ def controls(run: Path) -> Iterator[Case]:
 
 
 def all_cases(run: Path) -> list[Case]:
-    """All cases, in a fixed order."""
+    """All cases, in a fixed order; without `bench.extras`, those of its commands are left out."""
     cases = [
         *controls(run),
         *wrong_files(run),
@@ -379,8 +384,11 @@ def all_cases(run: Path) -> list[Case]:
         *stations(),
         *run_folders(run),
         *odd_folders(run),
+        *homes(run),
     ]
-    return [*cases, *homes(run)]
+    if find_spec("bench.extras") is None:
+        return [case for case in cases if _EXTRAS.isdisjoint(re.split("[:-]", case.name))]
+    return cases
 
 
 def few_cases(run: Path) -> list[Case]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from calling import ended, out_of, refusal
-from command_words import NOBODY, check_help, check_words, commands, examples
+from command_words import CORE, check_help, check_words, commands, examples
 from journals import MadeRun
 
 from bench.base.errors import StorageError
@@ -36,7 +36,7 @@ sys.meta_path.insert(0, Interrupted())
 ROOT = Path(__file__).parents[4]
 
 
-COMMANDS = dict(commands(cli.list_commands(NOBODY)))
+COMMANDS = dict(commands(CORE))
 
 
 @pytest.fixture(autouse=True)

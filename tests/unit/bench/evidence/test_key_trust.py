@@ -131,7 +131,7 @@ def test_a_line_is_read_as_written():
 def sealed_at(tmp_path, name, key, moment):
     folder = tmp_path / name
     folder.mkdir()
-    (folder / "certificate.json").write_text(f'{{"issued_utc": "{moment.isoformat()}"}}')
+    (folder / "results.json").write_text(f'{{"run": {{"calibrated_utc": "{moment.isoformat()}"}}}}')
     seal_folder(folder, key)
     return folder
 
