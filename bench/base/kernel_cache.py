@@ -34,11 +34,11 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
     environ[VARIABLE] = str(folder) if usable else tempfile.mkdtemp(prefix="starbench-kernels-")
 
 
-def kernel_folder(environ: Mapping[str, str], *, beside: Path = _BESIDE) -> Path:
+def kernel_folder(environ: Mapping[str, str]) -> Path:
     """Return the folder of the compiled loops: the one that is set; else that beside a source, or the user's."""
     if environ.get(VARIABLE):
         return Path(environ[VARIABLE])
-    return beside if _may_write(beside) else _user_cache(environ)
+    return _BESIDE if _may_write(_BESIDE) else _user_cache(environ)
 
 
 def kernel_sources() -> Iterator[Path]:
@@ -52,16 +52,11 @@ def remove_stale_kernels(root: Path = _ROOT) -> int:
     numba's own test fails at a class that was renamed, and misses a change of another compiled function that is called.
     """
     removed = 0
-    caches = (
-        cache for package in _PACKAGES_WITH_KERNELS for cache in (root / package).glob("**/__pycache__")
-    )
-    for cache in caches:
+    folders = [root / package for package in _PACKAGES_WITH_KERNELS]
+    for cache in (cache for folder in folders for cache in folder.glob("**/__pycache__")):
         indexes = list(cache.glob("*.nbi"))
-        newest = (
-            max((source.stat().st_mtime for source in cache.parent.glob("*.py")), default=0.0)
-            if indexes
-            else 0.0
-        )
+        sources = cache.parent.glob("*.py") if indexes else ()
+        newest = max((source.stat().st_mtime for source in sources), default=0.0)
         for index in indexes:
             with suppress(OSError):
                 orphaned = not (cache.parent / f"{index.name.partition('.')[0]}.py").exists()

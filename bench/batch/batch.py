@@ -29,6 +29,7 @@ from bench.batch.batch_record import (
     ItemEnded,
     Requested,
     choose_next,
+    replay_batch,
     resume_text,
 )
 from bench.batch.batch_requests import REQUESTS, Request, RequestInbox, refusal
@@ -135,8 +136,7 @@ class Batch:
             )
 
     def _run_locked(self) -> None:
-        for entry in self._journal.entries:
-            self._record.apply(entry)
+        self._record = replay_batch(self._queue.value, self._journal.entries)
         if self._record.begun is None:
             begun: BatchBegun = {"queue": self._queue.value.name, "files": self._files()}
             if self._rehearsal:

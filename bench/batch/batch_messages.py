@@ -12,10 +12,7 @@ from pathlib import Path
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
-from bench.batch.batch_summary import (
-    batch_name,
-    summary_lines,
-)
+from bench.batch.batch_summary import batch_name, summary_lines
 from bench.batch.supervisor import WorkerEnd
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import BatchSummary, newest_place

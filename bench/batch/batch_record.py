@@ -24,6 +24,7 @@ NEVER_S = math.inf
 MOST_CUTS = 10
 """A run is given up after this number of cuts without a further recorded pose: it may be what cuts the power."""
 
+_MOST_NAMED = 8  # A line of a terminal
 _MOST_STEP_S = 60.0
 """A run spans a restart of the computer if the monotonic clock shows so much more time than the system's, s."""
 
@@ -460,13 +461,9 @@ def resume_text(record: BatchRecord) -> str:
     fresh = [item.key for item in pending if not record.runs[item.key].begun]
     parts = [f"{len(record.runs) - len(pending)} of {len(record.runs)} runs are done"]
     parts += [f"to resume: {', '.join(again)}"] if again else []
-    parts += [f"to begin: {_shortened(fresh)}"] if fresh else []
+    more = f" and {len(fresh) - _MOST_NAMED} more" if len(fresh) > _MOST_NAMED else ""
+    parts += [f"to begin: {', '.join(fresh[:_MOST_NAMED])}{more}"] if fresh else []
     return f"{record.queue.name} continues: {'; '.join(parts)}."
-
-
-def _shortened(keys: list[str], most: int = 8) -> str:
-    more = f" and {len(keys) - most} more" if len(keys) > most else ""
-    return ", ".join(keys[:most]) + more
 
 
 def replay_batch(queue: Queue, entries: Iterable[Entry]) -> BatchRecord:

@@ -18,17 +18,14 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_plan import job_faults
-from bench.batch.batch_record import (
-    BatchEvent,
-    BatchRecord,
-    Requested,
-)
+from bench.batch.batch_record import BatchEvent, BatchRecord, Requested
 from bench.record.folder_lock import is_locked
 from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.record.journal import read_journal
 from bench.record.run_folder import JOURNAL
-from bench.record.run_index import is_rehearsal, require_batch
+from bench.record.run_index import require_batch
 from bench.record.storage import make_folder
+from bench.record.stored_run import StoredRun
 from sequences.queue import JobConfig, Key
 
 REQUESTS = "requests"
@@ -121,7 +118,7 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
     none.
     """
     require_batch(folder)
-    if not is_locked(folder) and is_rehearsal(folder):
+    if not is_locked(folder) and StoredRun(folder).is_rehearsal:
         raise RunFolderError(
             "This batch is a rehearsal, which cannot be continued.",
             where=str(folder),

@@ -12,13 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import BenchError, RunFolderError
-from bench.batch.batch_record import (
-    BatchRecord,
-    Requested,
-    RunState,
-    by_priority,
-    replay_batch,
-)
+from bench.batch.batch_record import BatchRecord, Requested, RunState, by_priority, replay_batch
 from bench.charts.chart_findings import find_charts, needs_attention
 from bench.charts.chart_groups import group_runs
 from bench.record.coverage import REPEATS_TEXT, factors_text, parameters_data

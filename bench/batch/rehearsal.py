@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from bench.record.events import Event, Solved, UntilDecided
 from bench.record.history import History, replay
 from bench.record.journal import Journal
 from bench.record.measured_facts import MeasuredFacts
-from bench.record.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
+from bench.record.run_folder import JOURNAL, RESULTS, RunFolder
 from bench.record.run_log import RunLog
 from bench.record.stored_run import results_of
 from bench.record.unsynced_journal import UnsyncedJournal
@@ -185,7 +184,8 @@ def rehearse_job(
     begun = (folder / JOURNAL).exists()
     with RunFolder.open(folder) if begun else RunFolder.create(folder) as held:
         if not begun:
-            _write_documents(held, job.plan)
+            for name, text in documents_of(job.plan).items():
+                held.write_atomic(name, text)
         opened = journal_type.open if begun else journal_type.create
         with opened(held.journal_path, **clocks) as journal:
             if begun and replay(journal.entries).ended == "finished":
@@ -200,12 +200,6 @@ def rehearse_job(
             results = RehearsedResults(job, held)
             runner = Runner(job, held, journal, open_devices, clock, progress, results=results, decide=decide)
             return runner.run()
-
-
-def _write_documents(folder: RunFolder, plan: Plan) -> None:
-    for name, text in documents_of(plan).items():
-        folder.write_atomic(name, text)
-    folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
 
 
 def _journal_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, again: bool) -> None:

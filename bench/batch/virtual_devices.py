@@ -26,10 +26,10 @@ from bench.stations.station import Station
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
-from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice
+from drivers.errors import NotHomed, RecordingFailed, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.stage import AxisIdentity, AxisLimits
-from drivers.stage.motion import longest_move_s
+from drivers.stage.motion import check_targets, longest_move_s, whole_range_s
 
 if TYPE_CHECKING:
     from bench.simulated import RehearsedWorld
@@ -87,18 +87,13 @@ class VirtualStage:
 
     def home(self) -> None:
         """See `Stage.home`. Takes the time of a move over the whole range."""
-        lowest = {name: limit.lowest_deg for name, limit in self.limits.items()}
-        highest = {name: limit.highest_deg for name, limit in self.limits.items()}
-        self._clock.sleep(longest_move_s(self.limits, lowest, highest) + HOMING_EXTRA_S)
+        self._clock.sleep(whole_range_s(self.limits) + HOMING_EXTRA_S)
         self.at_deg = dict.fromkeys(self.limits, 0.0)
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:
         """Move the axes to angles in degrees; takes the time of a real move."""
         at_deg = self.position_deg()
-        for name, angle in target_deg.items():
-            limit = self.limits[name]
-            if not limit.lowest_deg <= angle <= limit.highest_deg:
-                raise OutsideLimits(f"{angle:g} deg is outside its limits; nothing moved.", where=name)
+        check_targets(self.limits, target_deg, "stage")
         self._clock.sleep(self.move_duration_s(at_deg, target_deg) + MOVE_EXTRA_S)
         self.at_deg = {**at_deg, **target_deg}
 
@@ -258,10 +253,8 @@ def read_view(path: Path, name: str, target: StarTarget) -> tuple[View, int]:
 
 def _configuration(station: Station) -> dict[str, Any]:
     """Return the configuration of the world: the simulation's, or one from the ``expected`` section."""
-    if station.simulation is not None:
-        return station.simulated_world
     expected = station.expected
-    if expected is None:
+    if station.simulation is not None or expected is None:
         return station.simulated_world
     width, height = expected.image_size
     camera = {

@@ -7,15 +7,14 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.camera_files.forms import CameraForm, Lens, OpenCv
 from bench.camera_files.possible_camera import require_possible_camera
 from bench.camera_files.texts import OtherForm
+from calib.arrays import Array
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import FISHEYE, OPENCV, OPENCV_LENGTHS
 
-Array = NDArray[np.float64]
 LensFamily = Literal["brown", "fisheye"]
 
 _LEAST_SKEW_PX = 1e-9  # Less is rounding

@@ -10,13 +10,14 @@ from typing import Final
 import numpy as np
 
 from bench.base.errors import UsageError
-from bench.camera_files.camera_values import Array, LensFamily, camera_of_form, size_of
+from bench.camera_files.camera_values import LensFamily, camera_of_form, size_of
 from bench.camera_files.forms import LARGEST, LONGEST_NAME, Values, cameras_of, form_of
 from bench.camera_files.possible_camera import is_far_from_middle, require_possible_camera
 from bench.camera_files.texts import MOST_FILE_BYTES, OtherForm, values_of
 from bench.record.run_folder import RESULTS
 from bench.record.storage import read_bounded
 from bench.record.stored_calibration import camera_covariance, camera_of
+from calib.arrays import Array
 from calib.model.camera import CameraModel
 
 _MOST_NAMED = 10

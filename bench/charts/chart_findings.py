@@ -105,10 +105,8 @@ def _control(computed: _Computed, control: _Control, state: ChartState) -> str:
     parts = []
     if beyond := limits["beyond"]:
         expected = number(SHEWHART_CHANCE * runs, 2)
-        parts.append(
-            f"{counted(len(beyond), 'run')} of {runs} {'lies' if len(beyond) == 1 else 'lie'} outside {within}"
-            f" ({_named(beyond, computed.runs)}); about {expected} by chance"
-        )
+        lie = f"{counted(len(beyond), 'run')} of {runs} {'lies' if len(beyond) == 1 else 'lie'} outside {within}"
+        parts.append(f"{lie} ({_named(beyond, computed.runs)}); about {expected} by chance")
     if averages:
         named = _named(averages[:1], computed.runs)
         parts.append(f"the moving average (EWMA) left its limits at {named}: the mean may have shifted")
@@ -303,8 +301,6 @@ def _chart_data(computed: _Computed, level: Level, per: str, judge: _Judge) -> C
     limits, averages = computed.control.limits, computed.control.averages
     made: LimitedChart = {
         **values,
-        "lower": limits["lower"],
-        "upper": limits["upper"],
         "ewma": averages,
         "provisional": computed.provisional,
         **limits,
@@ -352,12 +348,8 @@ def _chances(computed: _Computed, control: _Control) -> tuple[float, float, floa
     They are: of so many values (Poisson), of the farthest average, and of the farthest value by its own stated
     uncertainty (both normal, times the number of runs).
     """
-    runs, estimates, centre, beyond = (
-        len(computed.runs),
-        computed.estimates,
-        control.limits["centre"],
-        control.limits["beyond"],
-    )
+    runs, estimates = len(computed.runs), computed.estimates
+    centre, beyond = control.limits["centre"], control.limits["beyond"]
     farthest = max((abs(estimates[i].value - centre) / estimates[i].sigma for i in beyond), default=0.0)
     reach = max((_reach(control, i) for i in control.averages["beyond"]), default=0.0)
     return (

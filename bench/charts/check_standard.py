@@ -11,10 +11,7 @@ from bench.record.ledger import bench_ledger
 from bench.record.run_facts import RunPlace
 from bench.record.run_folder import JOURNAL
 from bench.record.run_index import RunIndex
-from bench.record.summaries import (
-    ChartGroupData,
-    has_limits,
-)
+from bench.record.summaries import ChartGroupData, has_limits
 from bench.stations.station import Station
 
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from bench.record.summaries import EwmaData, LimitsData, TestedSlope
-
-Array = NDArray[np.float64]
+from calib.arrays import Array
 
 D2 = 2.0 / math.sqrt(math.pi)
 """Mean of the range of two normal values, in standard deviations: 1.128 in the published tables."""

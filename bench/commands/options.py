@@ -265,10 +265,10 @@ def _require_no_device(path: Path) -> None:
 
 def _batch_remedy(path: Path) -> str:
     """Return how to continue a batch if that is possible, and where its runs are."""
-    from bench.record.run_index import is_rehearsal
+    from bench.record.stored_run import StoredRun
 
     shown = f"`{pasteable('status', path)}` shows its runs; name one of them: {path / 'runs'}/..."
-    if is_rehearsal(path):
+    if StoredRun(path).is_rehearsal:
         return f"This is a rehearsal. It cannot be continued. {shown}"
     return (
         f"To continue the batch: `{pasteable('batch', 'QUEUE.yaml', '--output', path)}`, where QUEUE.yaml is"

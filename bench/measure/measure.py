@@ -25,11 +25,7 @@ from calib.errors import (
     TooFewEvents,
     TooFewStars,
 )
-from calib.events.event_image import (
-    ChosenImage,
-    EventImages,
-    make_images,
-)
+from calib.events.event_image import ChosenImage, EventImages, make_images
 from calib.events.event_times import EventTimes, event_times
 from calib.events.flicker import Flicker, first_on_delay_us, flicker_from_times, flicker_from_triggers
 from calib.events.grey_image import to_uint8
@@ -137,8 +133,9 @@ def _compare_flicker(flicker: Flicker, times: EventTimes) -> MeasuredFacts:
     """Compare the flicker from the triggers with the flicker from the events; empty if there is only one."""
     if flicker.source != "triggers":
         return {}
+    band_hz = min(15.0, 0.6 * flicker.frequency_hz), max(1000.0, 1.5 * flicker.frequency_hz)
     try:
-        by_events = flicker_from_times(times, band_hz=_band_hz(flicker.frequency_hz))
+        by_events = flicker_from_times(times, band_hz=band_hz)
     except (FlickerNotFound, TooFewEvents):
         return {}
     return {
@@ -146,11 +143,6 @@ def _compare_flicker(flicker: Flicker, times: EventTimes) -> MeasuredFacts:
         "flicker_disagreement_percent": 100 * abs(by_events.frequency_hz / flicker.frequency_hz - 1.0),
         "flicker_lag_periods": by_events.lag_us(flicker) / flicker.period_us,
     }
-
-
-def _band_hz(frequency_hz: float) -> tuple[float, float]:
-    """Return the lowest and the highest frequency, Hz, at which the events are searched for a flicker of one."""
-    return min(15.0, 0.6 * frequency_hz), max(1000.0, 1.5 * frequency_hz)
 
 
 def _flicker(triggers: Triggers, times: EventTimes, expected_hz: float | None) -> Flicker:
@@ -365,15 +357,7 @@ def without_crossed(view: View, silent: SilentLines, grid: NDArray[np.float64], 
     steps = linear_at(grid, target.node_of(view.ids).astype(float))
     reach_px = 0.5 * float(np.median(np.sqrt(np.abs(np.linalg.det(steps)))))
     clear = ~silent.crossed(view.points_px, reach_px)
-    if clear.all():
-        return view
-    return replace(
-        view,
-        ids=view.ids[clear],
-        points_px=view.points_px[clear],
-        target_mm=view.target_mm[clear],
-        covariances_px2=view.covariances_px2[clear],
-    )
+    return view if clear.all() else view.part(clear)
 
 
 def find_stars(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +12,7 @@ from typing import TypeVar
 from bench.base.errors import ScriptError
 from bench.measure.camera_kinds import CameraKind, camera_kind
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
-from bench.record.run_folder import CHECKED_COPY, PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
+from bench.record.run_folder import CHECKED_COPY, PASSPORT_COPY, PLAN, SEQUENCE_COPY, STATION_COPY
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
 from calib.calibration import REFERENCE_MODELS, CalibrationOptions
@@ -188,10 +189,11 @@ class Job:
 
 
 def documents_of(plan: Plan) -> dict[str, bytes]:
-    """Return what a run folder keeps from its begin on, bytes by name: all documents to repeat the run from."""
+    """Return what a run folder keeps from its begin on, bytes by name: all to repeat the run from, and its plan."""
     documents = {SEQUENCE_COPY: plan.sequence.text, STATION_COPY: plan.station.text}
     if plan.passport.in_use is not None:
         documents[PASSPORT_COPY] = plan.passport.in_use.data
     if plan.checked.in_use is not None:
         documents[CHECKED_COPY] = plan.checked.in_use.file.data
-    return documents | description_documents(plan.station.value)
+    planned = (json.dumps(plan.to_dict(), indent=1) + "\n").encode()
+    return documents | description_documents(plan.station.value) | {PLAN: planned}

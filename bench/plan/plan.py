@@ -21,10 +21,10 @@ from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
 from bench.plan.url_secrets import find_url_secrets
 from bench.stations.messages_section import find_webhooks
 from bench.stations.placeholders import find_placeholders
-from bench.stations.sections import AxisConfig, FrameCameraSection
+from bench.stations.sections import FrameCameraSection
 from bench.stations.station import Station, load_station
 from calib.model.passport import Passport
-from drivers.stage.motion import travel_time_s
+from drivers.stage.motion import longest_move_s, whole_range_s
 from sequences.errors import DocumentFaults
 from sequences.flatten import unfold
 from sequences.reader import Located, OptionSettings, find_document, read_document
@@ -82,11 +82,11 @@ class Estimate:
 
     def __init__(self, station: Station) -> None:
         self.size_bytes = self.most_bytes = REPORT_BYTES
-        self._axes: Mapping[str, AxisConfig] = station.axes
+        self._limits = {name: axis.limits for name, axis in station.axes.items()}
         camera = station.camera
         self._pictures = camera.pictures if isinstance(camera, FrameCameraSection) else 0
         self._picture_bytes = math.prod(station.expected.image_size if station.expected else PICTURE_SIZE)
-        self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
+        self._at_deg: dict[str, float] = dict.fromkeys(self._limits, 0.0)
         self._frequency_hz: float | None = None
         self._elapsed_s = 0.0
         self._until_begin_s: dict[int, float] = {}  # by number of the first step of an until
@@ -94,12 +94,11 @@ class Estimate:
 
     def preparation_s(self) -> float:
         """Return the time before the first step, s: open and identify the devices, home over the whole range."""
-        ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
-        return PREFLIGHT_S + self._travel_s(ranges) + HOMING_EXTRA_S
+        return PREFLIGHT_S + whole_range_s(self._limits) + HOMING_EXTRA_S
 
     def parking_s(self) -> float:
         """Return the time after the last step that needs devices, s: light off, stage to 0 deg."""
-        return LIGHT_OFF_S + self._travel_s(self._at_deg) + MOVE_EXTRA_S
+        return LIGHT_OFF_S + self._travel_s(dict.fromkeys(self._limits, 0.0)) + MOVE_EXTRA_S
 
     def add(self, step: Step, following: tuple[Step, ...] = ()) -> float:
         """Add the next step, and return its duration, s; ``following`` are the steps after it, at least two."""
@@ -167,7 +166,7 @@ class Estimate:
         left_s = CHECK_S
         for step in following:
             if isinstance(step, MoveStep):
-                left_s -= self._travel_s(self._distances(step.pose.angles_deg)) + MOVE_EXTRA_S
+                left_s -= self._travel_s(step.pose.angles_deg) + MOVE_EXTRA_S
             elif isinstance(step, SettleStep):
                 left_s -= step.duration_s
             else:
@@ -176,28 +175,19 @@ class Estimate:
 
     def _move_anywhere(self) -> float:
         """Return the time of a move over the whole range; the farthest end is the place to park from."""
-        ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
-        self._at_deg |= {name: max(axis.limits_deg, key=abs) for name, axis in self._axes.items()}
-        return self._travel_s(ranges) + MOVE_EXTRA_S
+        for name, limits in self._limits.items():
+            self._at_deg[name] = max(limits.lowest_deg, limits.highest_deg, key=abs)
+        return whole_range_s(self._limits) + MOVE_EXTRA_S
 
     def _move(self, target_deg: Mapping[str, float]) -> float:
-        distances = self._distances(target_deg)
+        travel_s = self._travel_s(target_deg)
         self._at_deg |= target_deg
-        return self._travel_s(distances) + MOVE_EXTRA_S
+        return travel_s + MOVE_EXTRA_S
 
-    def _distances(self, target_deg: Mapping[str, float]) -> dict[str, float]:
-        return {name: angle - self._at_deg.get(name, 0.0) for name, angle in target_deg.items()}
-
-    def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
-        """Return the time of the slowest axis, s. An axis that the station does not have is a fault of the script."""
-        return max(
-            (
-                travel_time_s(distance, self._axes[name].speed_deg_s, self._axes[name].acceleration_deg_s2)
-                for name, distance in distances_deg.items()
-                if name in self._axes
-            ),
-            default=0.0,
-        )
+    def _travel_s(self, to_deg: Mapping[str, float]) -> float:
+        """Return the time of a move, s. An axis that the station does not have is a fault of the script."""
+        known = {name: angle for name, angle in to_deg.items() if name in self._limits}
+        return longest_move_s(self._limits, self._at_deg, known)
 
 
 @dataclass(frozen=True)

@@ -99,10 +99,6 @@ class Journal:
         """
         return self.put(event, data, synced=True)
 
-    def append_unsynced(self, event: str, **data: Any) -> Entry:
-        """Write one line that the next ``append`` syncs: it survives the process, but a power cut may remove it."""
-        return self.put(event, data, synced=False)
-
     def close(self) -> None:
         """Close the file. Further lines are refused."""
         with self._lock:
@@ -130,7 +126,7 @@ class Journal:
         return jump_s
 
     def put(self, event: str, data: Mapping[str, Any], *, synced: bool) -> Entry:
-        """Write a line, after one that tells of a jump of the clock if there was one."""
+        """Write a line, as `append`; one that is not ``synced`` survives the process, but a power cut may remove it."""
         with self._lock:
             now, mono_s = self._utc_now(), self._monotonic()
             jump_s = self._clock_jump_s(now, mono_s)
@@ -209,11 +205,7 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
     with open_to_read(path) as stream:
         while line := stream.readline(MOST_LINE_BYTES):
             if len(line) >= MOST_LINE_BYTES:
-                raise JournalBroken(
-                    f"The journal is not valid: a line has more than {MOST_LINE_BYTES} bytes.",
-                    where=f"{path}:{len(entries) + 1}",
-                    remedy="The file was changed after it was written: restore it from a copy.",
-                )
+                raise _broken(f"this line has more than {MOST_LINE_BYTES} bytes", path, entries)
             if not line.endswith(b"\n"):
                 return entries, line
             prev = entries[-1].hash if entries else FIRST_PREV
@@ -223,19 +215,20 @@ def read_journal(path: Path) -> tuple[list[Entry], bytes]:
                 rest = line + stream.read(_MOST_UNSYNCED_BYTES)
                 if _was_cut_off(rest, begin):
                     return entries, rest
-                raise JournalBroken(
-                    f"The journal is not valid: {error}.",
-                    where=f"{path}:{len(entries) + 1}",
-                    remedy="The file was changed after it was written: restore it from a copy.",
-                ) from error
+                raise _broken(str(error), path, entries) from error
             begin += len(line)
             if begin > MOST_JOURNAL_BYTES:
-                raise JournalBroken(
-                    f"The journal has more than {MOST_JOURNAL_BYTES} bytes.",
-                    where=str(path),
-                    remedy="No bench writes so much. Restore it from a copy.",
-                )
+                raise _broken(f"it has more than {MOST_JOURNAL_BYTES} bytes", path, entries)
     return entries, b""
+
+
+def _broken(what: str, path: Path, entries: Sequence[Entry]) -> JournalBroken:
+    """Return the error about the line after some."""
+    return JournalBroken(
+        f"The journal is not valid: {what}.",
+        where=f"{path}:{len(entries) + 1}",
+        remedy="The file was changed after it was written: restore it from a copy.",
+    )
 
 
 def _was_cut_off(rest: bytes, begin: int) -> bool:

@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING
 
 from bench.record.journal import CAPTURES, Capture, Journal, stored_captures
 from bench.record.run_folder import PART, REPORT, RESULTS, RunFolder
-from bench.record.storage import (
-    is_temporary,
-    make_folder,
-    sha256_of,
-    storage_errors,
-)
+from bench.record.storage import is_temporary, make_folder, sha256_of, storage_errors
 
 if TYPE_CHECKING:
     from bench.record.events import Recovered

@@ -380,7 +380,6 @@ class Results(TypedDict):
     conditions: NotRequired[Conditions]
     calibration: CalibrationData
     projection: NotRequired[Projection | None]
-    planar: NotRequired[CalibrationData | None]  # Of the same stars, in results of before
     passport: NotRequired[StatedPassport | None]
     gimbal_readings: NotRequired[ReadingsUse | None]
     halves: NotRequired[Halves]

@@ -18,8 +18,7 @@ from bench.record.events import CauseData, DeviceData, Event, LightSettingsData,
 from bench.record.history import Attempt, History
 from bench.record.journal_line import Entry
 from bench.record.run_folder import PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
-from bench.record.storage import read_bounded
-from bench.record.stored_run import object_of
+from bench.record.stored_run import StoredRun
 
 IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledger"
 
@@ -270,16 +269,14 @@ def _results(named: str | None, folder: Path) -> tuple[Mapping[str, Any] | None,
     """Return results.json of a hash, None where it cannot be used, and what is wrong with it as a sentence."""
     if named is None:
         return None, None
+    run = StoredRun(folder)
     try:
-        data = read_bounded(folder / RESULTS)
+        if hashlib.sha256(run.results_bytes).hexdigest() != named:
+            return None, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
+        results = run.results_as_written
     except BenchError as error:
         return None, f"{RESULTS} cannot be read: {error.what}"
-    if hashlib.sha256(data).hexdigest() != named:
-        return None, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
-    try:
-        return object_of(data, folder / RESULTS), None
-    except BenchError as error:
-        return None, f"{RESULTS} cannot be read: {error.what}"
+    return results, None
 
 
 def _type_of(device: DeviceData) -> str:

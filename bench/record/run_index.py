@@ -6,7 +6,6 @@ when journal, results.json or the folder have changed.
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import sqlite3
@@ -43,8 +42,6 @@ COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _ASKED_AT_ONCE = 500
 """Folders in one question to the index: any SQLite takes 999 values."""
-_OBJECTS_PER_COLLECTION = 200_000
-"""Objects of some fifty journals, of 100 bytes each."""
 _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT,
     parameters TEXT) WITHOUT ROWID;
@@ -75,11 +72,6 @@ def require_batch(folder: Path) -> None:
             where=str(folder),
             remedy="Give the --output folder of `starbench batch`.",
         )
-
-
-def is_rehearsal(folder: Path) -> bool:
-    """Return whether a run or batch is a rehearsal; False also where the journal has no line yet."""
-    return StoredRun(folder).is_rehearsal
 
 
 def run_folders(root: Path) -> list[Path]:
@@ -149,7 +141,7 @@ class RunIndex:
         """
         indexed, faults = [], []
         wanted = _resolved(folders)
-        with self._open() as index, _rare_collections():
+        with self._open() as index:
             kept = {row[0]: row[1:] for row in _rows(index, "runs", wanted)}
             for place, folder in enumerate(wanted):
                 try:
@@ -235,17 +227,6 @@ class RunIndex:
                 with storage_errors(self.path):
                     (self.path.parent / name).unlink(missing_ok=True)
             return _connect(self.path)
-
-
-@contextmanager
-def _rare_collections() -> Iterator[None]:
-    """Search for cycles of dead objects seldom: journals have none, and the searches take a twentieth of the time."""
-    before = gc.get_threshold()
-    gc.set_threshold(_OBJECTS_PER_COLLECTION, *before[1:])
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
 
 
 def _is_between(begun_utc: str, since: datetime | None, until: datetime | None) -> bool:

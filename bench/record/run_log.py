@@ -7,10 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from bench.record.events import (
-    Event,
-    event_name,
-)
+from bench.record.events import Event, event_name
 from bench.record.history import History, P, apply_entry, replay
 from bench.record.journal import Journal
 from bench.record.journal_line import Entry
@@ -47,9 +44,8 @@ class RunLog:
         ``payload`` is the type of what the line holds, which names its event (`bench.record.events.event_name`).
         """
         event = Event(event_name(payload))
-        write = self.journal.append_unsynced if _is_repeatable(event, data) else self.journal.append
         with self._lock:
-            entry = write(event, **data)
+            entry = self.journal.put(event, data, synced=not _is_repeatable(event, data))
             apply_entry(self.history, entry)
             for follower in self._followers:
                 follower(entry, self.history)

@@ -80,12 +80,10 @@ def _zone(summary: BatchSummary) -> tzinfo | None:
 def _zone_name(summary: BatchSummary, zone: tzinfo | None) -> str:
     if summary["zone"]:
         return summary["zone"]
-    begun = summary["begun_utc"]
-    return (
-        datetime.fromisoformat(begun).astimezone(zone).strftime("UTC%z").removesuffix("+0000")
-        if begun
-        else "UTC"
-    )
+    if not summary["begun_utc"]:
+        return "UTC"
+    begun = datetime.fromisoformat(summary["begun_utc"]).astimezone(zone)
+    return begun.strftime("UTC%z").removesuffix("+0000")
 
 
 def _headline(summary: BatchSummary, zone: tzinfo | None) -> str:
@@ -101,7 +99,7 @@ def _local(utc: str | None, zone: tzinfo | None) -> str:
 def _key_figures(summary: BatchSummary) -> list[tuple[str, str]]:
     """Return the large numbers at the top of the page, each with its meaning."""
     totals = summary["totals"]
-    by_end = totals["by_end"]
+    by_end, working = totals["by_end"], duration(3600.0 * totals["working_hours"])
     without = sum(n for how, n in by_end.items() if how not in {"finished", *WITHOUT_END})
     return [
         (f"{by_end.get('finished', 0)} of {totals['runs']}", "runs with a result"),
@@ -109,10 +107,7 @@ def _key_figures(summary: BatchSummary) -> list[tuple[str, str]]:
         (str(by_end.get("not begun", 0)), "runs not begun"),
         (number(totals["poses"]), f"poses, in {number(totals['recordings'])} recordings"),
         (str(totals["deviations"]), "deviations from the sequences"),
-        (
-            duration(3600.0 * totals["hours"]),
-            f"in total, {duration(3600.0 * totals['working_hours'])} in runs",
-        ),
+        (duration(3600.0 * totals["hours"]), f"in total, {working} in runs"),
     ]
 
 

@@ -35,7 +35,7 @@ _VERDICTS = {
     "scale or parallax": "scale error or parallax",
     "views biased": "no fault shown; the views contradict each other",
 }
-"""Heading of each verdict of the hand-eye check that is no kind of a cause, or of an earlier version."""
+"""Heading of each verdict of the hand-eye check that is no kind of a cause."""
 
 Cell = tuple[str, float]
 """A cell of a matrix: its text and the strength of its shading, 0 to 1."""
@@ -185,18 +185,12 @@ def budget(
     """Return parameters, and each source with its shares of their variances, which add up to 100 % but for rounding."""
     sources = calibration["budget"]
     names = [name for name in calibration["sigma"] if all(name in sigmas for sigmas in sources.values())]
+    wholes = {name: sum(other[name] ** 2 for other in sources.values()) for name in names}
     rows = []
     for source, sigmas in sources.items():
-        wholes = [sum(other[name] ** 2 for other in sources.values()) for name in names]
-        shares = [
-            sigmas[name] ** 2 / whole if whole else 0.0 for name, whole in zip(names, wholes, strict=True)
-        ]
-        rows.append(
-            (
-                words.points if source == _OF_STARS else str(source),
-                [(f"{100 * share:.0f} %", round(share, 2)) for share in shares],
-            )
-        )
+        shares = [sigmas[name] ** 2 / whole if whole else 0.0 for name, whole in wholes.items()]
+        cells = [(f"{100 * share:.0f} %", round(share, 2)) for share in shares]
+        rows.append((words.points if source == _OF_STARS else source, cells))
     return (names, rows) if rows else ([], [])
 
 
@@ -229,11 +223,9 @@ def _gimbal(gimbal: GimbalComparison) -> list[tuple[str, str]]:
     """Describe the hand-eye check."""
     text = f"RMS difference {angle(gimbal.rms_arcsec)}."
     rows = [("Hand-eye check: rotations against the gimbal's readings", text)]
-    verdict = gimbal.verdict.replace("_", " ")  # an earlier version wrote one word
-    rows.append((f"Gimbal: {_VERDICTS.get(verdict, verdict)}", " ".join(gimbal.says)))
+    rows.append((f"Gimbal: {_VERDICTS.get(gimbal.verdict, gimbal.verdict)}", " ".join(gimbal.says)))
     for axis, scale in gimbal.scale.items():
         value, expanded = with_uncertainty(scale, 2 * gimbal.scale_sigma[axis])
-        rows.append(
-            (f"Angle seen over angle read, {axis.removesuffix('_deg')}", f"{value} ± {expanded} (k = 2)")
-        )
+        name = f"Angle seen over angle read, {axis.removesuffix('_deg')}"
+        rows.append((name, f"{value} ± {expanded} (k = 2)"))
     return rows

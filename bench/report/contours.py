@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from calib.arrays import Array
 
 _NOWHERE = -1e30
 """Value around the map and where it is not known: an outline beside it lies at the last known point."""

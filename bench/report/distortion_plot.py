@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, text_width
 from bench.wording.target_words import STARS, TargetWords
+from calib.arrays import Array
 from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye
-
-Array = NDArray[np.float64]
 
 _POINTS = 121  # Of a curve: closer than it is drawn
 _TANGENTIAL = frozenset({"p1", "p2"})

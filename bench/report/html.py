@@ -58,6 +58,9 @@ class ReportData:
 def render_report(data: ReportData) -> str:
     """Render the report as HTML from ``data`` alone."""
     results, words = data.results, words_of(data.results)
+    calibration = results["calibration"]
+    rim = rim_text(data.views, calibration["camera"], words)
+    direction = direction_text(data.views, calibration["image_size"])
     parts = _result_parts(results, words) | _run_parts(results) | _graphics(data, words)
     return render_page(
         "report.html.j2",
@@ -66,14 +69,7 @@ def render_report(data: ReportData) -> str:
         takes_pictures=results["run"].get("camera") == "frame",
         verdict=verdict(results),
         journal_head=data.journal_head,
-        stands_out=[
-            text
-            for text in (
-                rim_text(data.views, results["calibration"]["camera"], words),
-                direction_text(data.views, results["calibration"]["image_size"]),
-            )
-            if text
-        ],
+        stands_out=[text for text in (rim, direction) if text],
         **parts,
     )
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bench.record.coverage import coverage_factor
 from bench.record.results import CameraData
 from bench.record.stored_calibration import camera_covariance, camera_of
-from bench.report.contours import Array, Outline, outlines
+from bench.report.contours import Outline, outlines
 from bench.report.supported import reach_px, star_distance
 from bench.report.svg_plot import (
     INK,
@@ -26,6 +26,7 @@ from bench.report.svg_plot import (
     shade,
 )
 from bench.report.svg_scale import Scale, decades, text_width
+from calib.arrays import Array
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import (
     CameraDifference,

@@ -10,7 +10,6 @@ from textwrap import shorten
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.measure.view_picture import ViewPicture
 from bench.record.coverage import coverage_factor
@@ -36,15 +35,13 @@ from bench.report.svg_plot import (
 )
 from bench.report.svg_scale import Scale
 from bench.wording.target_words import STARS, TargetWords, words_of
-from calib.arrays import RAYLEIGH_MEDIAN
+from calib.arrays import RAYLEIGH_MEDIAN, Array
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import (
     URAD_PER_ARCSEC,
     camera_difference,
     projection_uncertainty,
 )
-
-Array = NDArray[np.float64]
 
 _CLOUD_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
 #: The joint adjustment halves the weight of a star at so many sigma of its residual (`calib.joint.equations`).

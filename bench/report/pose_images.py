@@ -15,8 +15,8 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from bench.measure.view_picture import ViewPicture
-from bench.report.plots import Array
 from bench.wording.target_words import STARS, TargetWords
+from calib.arrays import Array
 
 _ALL_PICTURES_BYTES = 1_050_000
 _ENCODINGS = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.record.results import CalibrationData, ViewData
 from bench.record.stored_calibration import camera_of
 from bench.report.svg_plot import INK, LINE, MUTED, PANEL, POSE_COLOURS, Picture, shape_of
+from calib.arrays import Array
 from calib.model.camera import CameraModel
-
-Array = NDArray[np.float64]
 
 _YAW_DEG, _PITCH_DEG = 38.0, 24.0
 """Direction from which the scene is seen: from the right of the camera and from above."""

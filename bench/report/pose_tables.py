@@ -71,15 +71,8 @@ def gates(gate_data: Sequence[GateData]) -> list[GateRow]:
         values_text = lowest if lowest == highest else f"{lowest} \N{HORIZONTAL ELLIPSIS} {highest}"
         worst = max((gate["verdict"] for gate in judged), key=_VERDICTS.index)
         passed = sum(gate["verdict"] != "fail" for gate in judged)
-        rows.append(
-            GateRow(
-                name,
-                f"{limit} {unit}".strip(),
-                values_text,
-                f"{passed} of {len(judged)}",
-                worst,
-            )
-        )
+        count = f"{passed} of {len(judged)}"
+        rows.append(GateRow(name, f"{limit} {unit}".strip(), values_text, count, worst))
     return rows
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from bench.measure.view_picture import ViewPicture
 from bench.wording.target_words import TargetWords
+
+if TYPE_CHECKING:
+    from calib.arrays import Array
 
 _OUTER, _INNER = 0.8, 0.5
 """Parts of the largest distance from the principal point: beyond the first is the rim, within the second the middle."""
@@ -27,11 +31,7 @@ def direction_text(views: Sequence[ViewPicture], image_size: Sequence[int]) -> s
     """
     import numpy as np
 
-    seen = [view for view in views if len(view.detected)]
-    if not seen:
-        return ""
-    points = np.concatenate([view.detected for view in seen])
-    residuals = np.concatenate([view.residuals for view in seen])
+    points, residuals = _points_and_residuals(views)
     part = np.clip((3 * points / np.asarray(image_size)).astype(int), 0, 2)
     found = []
     for column, row in np.ndindex(3, 3):
@@ -51,6 +51,17 @@ def direction_text(views: Sequence[ViewPicture], image_size: Sequence[int]) -> s
     )
 
 
+def _points_and_residuals(views: Sequence[ViewPicture]) -> tuple[Array, Array]:
+    """Return the stars of all views and their residuals, (N, 2) px each."""
+    import numpy as np
+
+    none = np.zeros((0, 2))
+    return (
+        np.concatenate([none, *(view.detected for view in views)]),
+        np.concatenate([none, *(view.residuals for view in views)]),
+    )
+
+
 def rim_text(views: Sequence[ViewPicture], camera: Mapping[str, float], words: TargetWords) -> str:
     """Return whether residuals at the rim of the image are longer than those in the middle, from each pose's stars.
 
@@ -58,15 +69,11 @@ def rim_text(views: Sequence[ViewPicture], camera: Mapping[str, float], words: T
     """
     import numpy as np
 
-    seen = [view for view in views if len(view.detected)]
-    if not seen:
-        return ""
-    points = np.concatenate([view.detected for view in seen])
-    squares = np.sum(np.concatenate([view.residuals for view in seen]) ** 2, axis=1)
-    distance = np.linalg.norm(points - [camera["cx"], camera["cy"]], axis=1) / max(
-        1e-9, float(np.linalg.norm(points - [camera["cx"], camera["cy"]], axis=1).max())
-    )
-    outer, inner = squares[distance > _OUTER], squares[distance < _INNER]
+    points, residuals = _points_and_residuals(views)
+    squares = np.sum(residuals**2, axis=1)
+    distance = np.linalg.norm(points - [camera["cx"], camera["cy"]], axis=1)
+    reach = distance.max(initial=0.0)
+    outer, inner = squares[distance > _OUTER * reach], squares[distance < _INNER * reach]
     if min(len(outer), len(inner)) < _LEAST_POINTS:
         return ""
     rim, middle = float(np.sqrt(outer.mean())), float(np.sqrt(inner.mean()))

@@ -62,30 +62,24 @@ def passport_rows(passport: StatedPassport | None) -> Rows:
         f"at {passport.temperature_c:g} °C" if passport.temperature_c is not None else "",
         f"{_ORIGINS.get(passport.source, passport.source)} ({passport.name})",
     ]
-    return [
+    rows = [
         ("Collimator passport", ", ".join(part for part in stated if part)),
         ("Values of the passport", "; ".join(values)),
         ("SHA-256 of the passport", passport.sha256),
-        *_seal_rows(passport),
     ]
-
-
-def _seal_rows(passport: StatedPassport) -> Rows:
-    """Return the seal of a passport; no row for the values of a station's certificate."""
-    if passport.source == "station certificate":
-        return []
-    return [("Seal of the passport", str(passport.sealed_by or "none: the file is not sealed"))]
+    if passport.source != "station certificate":  # which has no file of its own
+        rows.append(("Seal of the passport", passport.sealed_by or "none: the file is not sealed"))
+    return rows
 
 
 def readings_rows(readings: ReadingsUse | None, estimate: GimbalEstimate | None) -> Rows:
     """List whether the gimbal's readings entered the calibration, with what statement, or why they did not."""
     if not readings:
         return []
-    rows: Rows = []
+    what = f"compared with the result only. {readings.why_not}"
     if readings.entered:
-        rows.append(("Gimbal readings", f"entered the adjustment as measurements{_agreement(estimate)}"))
-    else:
-        rows.append(("Gimbal readings", f"compared with the result only. {readings.why_not}"))
+        what = f"entered the adjustment as measurements{_agreement(estimate)}"
+    rows = [("Gimbal readings", what)]
     stated, bound = readings.statement, readings.bound
     if stated:
         text = (
@@ -244,7 +238,6 @@ def identification(results: Results) -> list[tuple[str, str]]:
     run = results["run"]
     camera = (results.get("devices") or {}).get("camera") or {}
     ledger, collimator = run.get("ledger"), run.get("collimator")
-    entered = _ledger_rows(ledger) if ledger else []
     item = " ".join(str(camera[key]) for key in ("maker", "model", "sensor") if camera.get(key))
     return [
         ("Item", item or NOTHING),
@@ -258,7 +251,7 @@ def identification(results: Results) -> list[tuple[str, str]]:
         ("Sequence", value_text(run.get("sequence"))),
         ("Station", value_text(run.get("station"))),
         *_times(run),
-        *entered,
+        *(_ledger_rows(ledger) if ledger else []),
     ]
 
 
@@ -317,15 +310,10 @@ def software(results: Results) -> list[tuple[str, str]]:
     return rows
 
 
-def causes(results: Results) -> list[str]:
-    """List what a person did to the bench, as far as the data show it, the most probable first."""
-    return cause_sentences(results.get("causes", ()))
-
-
 def alerts(results: Results) -> list[str]:
     """List what a reader must know before use: doubts, gates and goals that were not met, every deviation."""
     calibration = results["calibration"]
-    known = {*calibration.get("remarks", ()), *causes(results)}
+    known = {*calibration.get("remarks", ()), *cause_sentences(results.get("causes", ()))}
     doubts = [note for note in calibration["notes"] if note not in known]
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
@@ -348,9 +336,6 @@ def _failure_text(error: FailureData) -> str:
 
 
 def _ledger_rows(ledger: LedgerPlace) -> list[tuple[str, str]]:
-    rows = [("Number of the run", _place_in_ledger(ledger)), ("Line of the ledger", str(ledger["head"]))]
+    place = f"{ledger['number']} of this bench; earlier runs of this camera: {earlier_runs(ledger)}"
+    rows = [("Number of the run", place), ("Line of the ledger", ledger["head"])]
     return rows + [("Ledger", f"BROKEN. {fault}") for fault in ledger.get("faults") or []]
-
-
-def _place_in_ledger(ledger: LedgerPlace) -> str:
-    return f"{ledger['number']} of this bench; earlier runs of this camera: {earlier_runs(ledger)}"

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.report.contours import Array
+from calib.arrays import Array
 
 REACH = 0.05
 """A star supports its surroundings up to this share of the diagonal of the sensor."""

@@ -15,7 +15,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import ArrayLike
 
-from bench.report.svg_scale import Array, Scale, text_width
+from bench.report.svg_scale import Scale, text_width
+from calib.arrays import Array
 
 POSE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of the poses, repeated after six: the palette of Okabe and Ito (2008), safe for colour-blind readers."""

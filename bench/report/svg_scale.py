@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bench.wording.numbers import MINUS, fixed
-
-Array = NDArray[np.float64]
+from calib.arrays import Array
 
 _STEPS = (1.0, 2.0, 5.0, 10.0)  # Times a power of ten: round numbers
 _LABELLED = ((1, 2, 5), (1,))

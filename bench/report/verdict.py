@@ -10,6 +10,7 @@ from typing import Any
 from bench.record.coverage import coverage_factor, factors_text
 from bench.record.results import CalibrationData, CameraData, ProjectionChange, Results
 from bench.report import calibration_tables, pose_tables, run_tables
+from bench.wording.causes import cause_sentences
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import NOTHING, angle_text, exact, fixed, moment, number, with_uncertainty
 from bench.wording.target_words import words_of
@@ -36,14 +37,12 @@ def change(results: Results) -> Change | None:
         return Change(str(previous["why_not"]))
     then, now = previous["calibration"], results["calibration"]
     temperature = previous.get("temperature_c")
+    warm = NOTHING if temperature is None else f"{number(float(temperature), 3)} °C"
     facts = (
         ("Compared with run", f"{previous['run']} (number {previous['number']} of this bench)"),
         ("Finished", f"{moment(previous.get('finished_utc'))}{_earlier(results)}"),
         ("Sequence, model", f"{previous.get('sequence') or NOTHING}, {then['model']}"),
-        (
-            "Camera temperature then",
-            NOTHING if temperature is None else f"{number(float(temperature), 3)} °C",
-        ),
+        ("Camera temperature then", warm),
         ("SHA-256 of its results", str(previous["results_sha256"])),
         ("SHA-256 of its seal", str(previous["seal"])),
     )
@@ -74,13 +73,10 @@ def _earlier(results: Results) -> str:
     passed_s = (datetime.fromisoformat(now) - datetime.fromisoformat(before)).total_seconds()
     if passed_s < 0:
         return ""
-    if passed_s >= 2 * _DAY_S:
-        return f", {passed_s / _DAY_S:.0f} days earlier"
-    return (
-        f", {passed_s / _HOUR_S:.0f} hours earlier"
-        if passed_s >= 2 * _HOUR_S
-        else f", {passed_s / 60:.0f} min earlier"
-    )
+    for name, unit_s in (("days", _DAY_S), ("hours", _HOUR_S)):
+        if passed_s >= 2 * unit_s:
+            return f", {passed_s / unit_s:.0f} {name} earlier"
+    return f", {passed_s / 60:.0f} min earlier"
 
 
 def _in_both(name: str, then: CameraData, now: CameraData) -> bool:
@@ -144,7 +140,7 @@ class Verdict:
 def verdict(results: Results) -> Verdict:
     """Return the verdict: ``fail`` if not converged, or a gate or limit failed; ``marginal`` with other reasons."""
     calibration = results["calibration"]
-    reasons, causes = tuple(run_tables.alerts(results)), tuple(run_tables.causes(results))
+    reasons, causes = tuple(run_tables.alerts(results)), tuple(cause_sentences(results.get("causes", ())))
     judged = [row.verdict for row in pose_tables.gates(results.get("gates") or [])]
     if not calibration["converged"]:
         return Verdict(

@@ -8,7 +8,8 @@ from html import escape
 import numpy as np
 
 from bench.report.svg_plot import FONT, INK, MUTED, POSE_COLOURS, Picture, Words, axes_in
-from bench.report.svg_scale import Array, Scale
+from bench.report.svg_scale import Scale
+from calib.arrays import Array
 
 _WIDTH, _HEIGHT, _NAMES, _DATE = 380.0, 156.0, 46.0, 10.0
 """Width and height of a picture, room for the names of lines at its right, and for half a date at its left, points."""

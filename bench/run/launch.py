@@ -32,7 +32,6 @@ from bench.record.journal_line import Entry
 from bench.record.pace import pace_on
 from bench.record.recovery import WIRE_LOG
 from bench.record.run_folder import (
-    PLAN,
     REPORT,
     RunFolder,
     require_resumable,
@@ -136,7 +135,7 @@ def start_run(
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     kept_free = int(plan.station.value.disk.min_free_gb * 1e9)
     with RunFolder.create(folder_path, bytes_needed=plan.size_bytes, bytes_kept_free=kept_free) as folder:
-        written = {**documents_of(plan), PLAN: (json.dumps(plan.to_dict(), indent=1) + "\n").encode()}
+        written = documents_of(plan)
         for name, text in written.items():
             folder.write_atomic(name, text)
         place = enter_in_ledger(ledger, job, folder.path)

@@ -43,9 +43,9 @@ class Place:
     @property
     def base_name(self) -> str:
         """The last part of the name."""
-        return (
-            posixpath.basename(self.name.rstrip("/")) if self.is_remote else Path(self.name).absolute().name
-        )
+        if self.is_remote:
+            return posixpath.basename(self.name.rstrip("/"))
+        return Path(self.name).absolute().name
 
     @contextmanager
     def folder(self, *captures: str, only: Collection[str] | None = None) -> Iterator[Path]:
@@ -70,12 +70,9 @@ def find_places(names: Sequence[str]) -> list[Place]:
     places: dict[str, Place] = {}
     for name in names:
         place = Place(name)
-        inner = _remote_runs(name) if place.is_remote else _local_runs(Path(name))
-        for inner_place in inner:
-            same = inner_place.rstrip("/") if place.is_remote else str(Path(inner_place).resolve())
-            places.setdefault(
-                same, Place(inner_place if place.is_remote else str(Path(inner_place).absolute()))
-            )
+        for run in _remote_runs(name) if place.is_remote else _local_runs(Path(name)):
+            same = run.rstrip("/") if place.is_remote else str(Path(run).resolve())
+            places.setdefault(same, Place(run if place.is_remote else str(Path(run).absolute())))
     return list(places.values())
 
 
@@ -99,15 +96,9 @@ def _remote_runs(url: str) -> list[str]:
         if system.exists(f"{root}/{JOURNAL}"):
             return [url]
         listed = system.ls(root, detail=True)
-        folders = [
-            run_folder["name"].rstrip("/") for run_folder in listed if run_folder["type"] == "directory"
-        ]
+        folders = [entry["name"].rstrip("/") for entry in listed if entry["type"] == "directory"]
         are_runs = _side_by_side(system, system.exists, [(f"{folder}/{JOURNAL}",) for folder in folders])
-        runs = [
-            posixpath.basename(run_folder)
-            for run_folder, is_run in zip(folders, are_runs, strict=True)
-            if is_run
-        ]
+        runs = [posixpath.basename(name) for name, is_run in zip(folders, are_runs, strict=True) if is_run]
     if not runs:
         raise UsageError(
             "No run was found. From a URL, only folders of runs are read.",

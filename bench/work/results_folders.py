@@ -16,14 +16,8 @@ from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.record.run_folder import RESULTS
 from bench.record.storage import new_output, sha256_of, storage_errors, write_atomic, write_files
-from bench.work.kept_rows import (
-    Table,
-    line_of,
-)
-from bench.work.tasks import (
-    DoneRow,
-    RunRow,
-)
+from bench.work.kept_rows import Table, line_of
+from bench.work.tasks import DoneRow, RunRow
 from drivers.new_output import TEMPORARY, remove_unfinished
 
 TABLE = "recalculated.jsonl"

@@ -77,6 +77,12 @@ def longest_move_s(
     return max((move_time_s(limits[axis], from_deg[axis], to_deg[axis]) for axis in to_deg), default=0.0)
 
 
+def whole_range_s(limits: Mapping[str, AxisLimits]) -> float:
+    """Return the expected time, s, of a move of all axes over their whole range at once."""
+    lowest = {name: limit.lowest_deg for name, limit in limits.items()}
+    return longest_move_s(limits, lowest, {name: limit.highest_deg for name, limit in limits.items()})
+
+
 def deadline_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
     """Return the longest time that a move may take, s: the expected time, two more ramps, and a margin."""
     ramp_s = limits.speed_deg_s / limits.acceleration_deg_s2

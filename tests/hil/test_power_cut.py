@@ -44,11 +44,11 @@ while True:
     folder.part_path(capture_name(pose, 1)).write_bytes(hashlib.sha256(str(pose).encode()).digest() * 300)
     capture = folder.commit(capture_name(pose, 1))
     for number in range(NOTES):  # lines that last with the next one that counts
-        journal.append_unsynced("on_the_way", number=number, text="x" * 900)
+        journal.put("on_the_way", {"number": number, "text": "x" * 900}, synced=False)
     journal.append(CAPTURE_STORED, pose=pose, attempt=1, **capture.as_data())
     print(pose, flush=True)
     for number in range(NOTES):
-        journal.append_unsynced("on_the_way", number=number, text="y" * 900)
+        journal.put("on_the_way", {"number": number, "text": "y" * 900}, synced=False)
 """
 
 

@@ -13,14 +13,8 @@ from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.charts.chart_findings import find_charts, needs_attention
-from bench.charts.chart_groups import Grouped, group_runs
-from bench.commands.options import (
-    AnyPath,
-    RunChoice,
-    command,
-    run_options,
-    status_text,
-)
+from bench.charts.chart_groups import group_runs
+from bench.commands.options import AnyPath, RunChoice, command, run_options, status_text
 from bench.commands.output import JSON, print_findings, show
 from bench.commands.runs import find_runs
 from bench.commands.values import WholeNumber
@@ -85,8 +79,7 @@ def history(what: str, baseline: int | None, output: Path | None, **given: Any) 
     if output is not None and what == _AGREEMENT:
         raise UsageError(f"`history {what}` writes no file.", remedy="Leave out --output.")
     if what == _CHARTS:
-        page = output or Path("runs-charts.html")
-        return _chart_runs(choice, baseline, page)
+        return _chart_runs(choice, baseline, output or Path("runs-charts.html"))
     if what == _TABLE:
         if output is None:
             raise UsageError("The file is missing.", remedy="Name it: --output runs.parquet, or .csv.")
@@ -141,7 +134,12 @@ def _chart_runs(choice: RunChoice, baseline: int | None, page: Path) -> int:
     merged = find_runs(choice)
     facts = RunIndex(home_folder()).details(merged.runs)
     grouped = group_runs(((run, more, merged.places[run.folder]) for run, more in facts))
-    _require_groups(grouped)
+    if not grouped.groups:
+        why = " ".join(grouped.left_out)
+        raise UsageError(
+            f"There is no run with a result. {why}".rstrip(),
+            remedy="Name a FOLDER with runs, or a ledger with --ledger.",
+        )
     charts = find_charts(grouped.groups, baseline=baseline)
     notes = [*grouped.left_out, *merged.notes]
     write_atomic(page, render_charts(charts, notes, merged.faults).encode())
@@ -167,15 +165,6 @@ def _require_page(page: Path) -> None:
     if not page.absolute().parent.is_dir():
         raise UsageError(
             "The folder of this file does not exist.", where=str(page), remedy="Choose another name."
-        )
-
-
-def _require_groups(grouped: Grouped) -> None:
-    if not grouped.groups:
-        why = " ".join(grouped.left_out)
-        raise UsageError(
-            f"There is no run with a result. {why}".rstrip(),
-            remedy="Name a FOLDER with runs, or a ledger with --ledger.",
         )
 
 

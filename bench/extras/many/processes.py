@@ -63,9 +63,7 @@ def _started(memory_bytes: int | None) -> _Worker:
     before = multiprocessing.active_children()
     with _one_thread():
         pool.submit(os.getpid)  # the first work starts the process
-    (process,) = (
-        active_child for active_child in multiprocessing.active_children() if active_child not in before
-    )
+    (process,) = (child for child in multiprocessing.active_children() if child not in before)
     return _Worker(pool, process)
 
 
@@ -151,7 +149,9 @@ def _prepare(memory_bytes: int | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the command, which ends its workers
     threading.Thread(target=_end_with_the_command, daemon=True).start()
     limit_memory(memory_bytes)
-    _one_thread_of_opencv()
+    import cv2
+
+    cv2.setNumThreads(1)
 
 
 def _end_with_the_command() -> None:
@@ -173,12 +173,6 @@ def limit_memory(memory_bytes: int | None) -> None:
     least = memory_bytes if hard == resource.RLIM_INFINITY else min(memory_bytes, hard)
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (least, hard))
-
-
-def _one_thread_of_opencv() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)
 
 
 @contextmanager
@@ -230,11 +224,8 @@ class DaskWorkers(Workers):
         try:
             import distributed
         except ImportError as error:
-            raise UsageError(
-                "Dask is not installed.",
-                where="--workers",
-                remedy="Install it: pip install 'starbench[cluster]'",
-            ) from error
+            remedy = "Install it: pip install 'starbench[cluster]'"
+            raise UsageError("Dask is not installed.", where="--workers", remedy=remedy) from error
         for name in _LOGGERS:  # a lost connection is told by WorkersLost, not by tracebacks of the libraries
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self.address = address

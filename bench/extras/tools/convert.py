@@ -11,13 +11,7 @@ import click
 
 from bench.base.clock import reliable_interrupts
 from bench.base.errors import UsageError
-from bench.commands.options import (
-    AnyPath,
-    EventFile,
-    NewFile,
-    OutputFolder,
-    command,
-)
+from bench.commands.options import AnyPath, EventFile, NewFile, OutputFolder, command
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 
 if TYPE_CHECKING:

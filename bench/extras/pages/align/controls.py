@@ -257,9 +257,7 @@ class StageControl:
         state, limits = self._state, self._stage.limits[name]
         now_deg, goal_deg = state.position_deg.get(name), state.goal_deg.get(name)
         start_deg = now_deg
-        if goal_deg is not None and (
-            state.work is not None or now_deg is None or abs(goal_deg - now_deg) < _SAME_DEG
-        ):
+        if goal_deg is not None and (state.work or now_deg is None or abs(goal_deg - now_deg) < _SAME_DEG):
             start_deg = goal_deg
         if start_deg is None:
             raise ControlRefused(
@@ -278,7 +276,7 @@ class StageControl:
 
     def _set(self, **changes: Any) -> None:
         """Change the state; the lock is held."""
-        self._state = StageState(**{**self._state.__dict__, **changes})
+        self._state = replace(self._state, **changes)
 
     def _work(self) -> None:
         """Do what is wanted, until the control is closed."""

@@ -96,10 +96,7 @@ class LiveMeter:
         self._size = values.shape[1], values.shape[0]
         beam = find_beam(values, least=image.least, radius_px=setting.beam_radius_px)
         lit = beam.share > 0.0
-        figures = replace(
-            _figures(part, setting, image, beam),
-            contrast=contrast(values, beam.lit) if lit else None,
-        )
+        figures = _figures(part, setting, image, beam)
         stars = square = None
         if lit and image.shows_stars and not part.moving:
             try:
@@ -115,19 +112,14 @@ class LiveMeter:
         return _jpeg(show(values)), replace(
             _with_stars(figures, stars, setting),
             square=square,
+            contrast=contrast(values, beam.lit) if lit else None,
             edge_width_px=edge_width_px(values, stars, setting.target),
             turn=self._steady.steady(turn, part.reading_deg),
         )
 
     def _dark(self, part: LiveSlice, why: str) -> tuple[bytes, LiveFigures]:
         """Return the dark image of a slice that shows nothing, with figures that say why."""
-        figures = LiveFigures(
-            time_s=part.time_s,
-            width_px=self._size[0],
-            height_px=self._size[1],
-            recording_faults=(why,),
-            moving=part.moving,
-        )
+        figures = LiveFigures(part.time_s, *self._size, recording_faults=(why,), moving=part.moving)
         return _jpeg(np.zeros(self._size[::-1], np.uint8)), figures
 
     def close(self) -> None:
@@ -186,12 +178,12 @@ def _recording_faults(facts: RecordingFacts | FrameFacts | None) -> Iterator[str
 def _dropped_share(facts: RecordingFacts | FrameFacts | None) -> float | None:
     """Return the share, 0 to 1, of events that the rate controller dropped; None if the camera does not count."""
     if (
-        not isinstance(facts, RecordingFacts)
-        or not facts.rate_controller_in
-        or facts.rate_controller_out is None
+        isinstance(facts, RecordingFacts)
+        and facts.rate_controller_in
+        and facts.rate_controller_out is not None
     ):
-        return None
-    return max(0.0, 1.0 - facts.rate_controller_out / facts.rate_controller_in)
+        return max(0.0, 1.0 - facts.rate_controller_out / facts.rate_controller_in)
+    return None
 
 
 def _plain(value: Any) -> Any:

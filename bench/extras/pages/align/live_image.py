@@ -257,13 +257,13 @@ def _read_events(path: Path, expected_hz: float | None) -> LiveImage:
     """Make the image of an event camera's slice from counts: of whole periods if it holds any."""
     counted = count_slice(RawFile.open(path), 1e6 / expected_hz if expected_hz else math.inf)
     signal = measure_signal(counted.statistics, counted.triggers, expected_hz)
-    if not counted.periods:
-        values = counted.counts.sum(axis=0, dtype=np.float32)
-        if expected_hz:
-            return LiveImage(np.minimum(values, 1.0), True, 0.5, signal, None)
-        return LiveImage(values, False, 0.5, signal, None)
-    image = make_quick_image(counted.counts, counted.periods)
-    return LiveImage(image.image, True, _LEAST_FIRED, signal, None)
+    if counted.periods:
+        image = make_quick_image(counted.counts, counted.periods)
+        return LiveImage(image.image, True, _LEAST_FIRED, signal, None)
+    values = counted.counts.sum(axis=0, dtype=np.float32)
+    if expected_hz:
+        return LiveImage(np.minimum(values, 1.0), True, 0.5, signal, None)
+    return LiveImage(values, False, 0.5, signal, None)
 
 
 def _read_frames(path: Path) -> LiveImage:

@@ -78,7 +78,7 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def slice_duration_s(setting: LiveSetting, *, moving: bool = False) -> float:
+def slice_duration_s(setting: LiveSetting, *, moving: bool) -> float:
     """Return how long a slice is, s. It holds whole periods of the flicker, if the light flickers."""
     if not setting.light_on or not setting.frequency_hz:
         return SHORT_S
@@ -108,7 +108,7 @@ class LiveLoop:
         reading_deg: Callable[[], Mapping[str, float]],
         on_picture: Callable[[], None],
         meter: Meter,
-        moving: Callable[[], bool] = lambda: False,
+        moving: Callable[[], bool],
     ) -> None:
         self._camera = camera
         self._setting = setting

@@ -60,12 +60,12 @@ ACTIONS: Mapping[str, tuple[str, ...]] = {
 }
 """What the hands can do, with the numbers that each needs."""
 
-OpenDevices = Callable[[Station, int, BenchClock], Devices]
+OpenDevices = Callable[[Station, BenchClock], Devices]
 
 
-def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
-    """Open the devices of a station."""
-    return Devices(station, seed=seed, clock=clock, wire_log=None)
+def open_devices(station: Station, clock: BenchClock) -> Devices:
+    """Open the devices of a station; a simulated bench is the same one each time."""
+    return Devices(station, seed=1, clock=clock, wire_log=None)
 
 
 class CameraControl:
@@ -204,14 +204,8 @@ class LightControl:
         self._lock = threading.Lock()
         start = FlickerConfig()
         low, high = config.frequency_range_hz
-        self.reading = LightReading(
-            Flicker(
-                start.waveform,
-                min(max(start.frequency_hz, low), high),
-                start.duty_percent,
-                start.level_percent,
-            )
-        )
+        hz = min(max(start.frequency_hz, low), high)
+        self.reading = LightReading(Flicker(start.waveform, hz, start.duty_percent, start.level_percent))
         """What is known of the light."""
 
     def set(self, *, on: bool | None = None, **given: Any) -> LightReading:
@@ -259,9 +253,7 @@ class LightControl:
     def row(self) -> FigureRow:
         """Return what the light does, for the page."""
         now = self.reading
-        words = {None: "unknown", True: "on", False: "off"}[now.on]
-        if now.faults:
-            words = "; ".join(now.faults)
+        words = "; ".join(now.faults) or {None: "unknown", True: "on", False: "off"}[now.on]
         return FigureRow("Light", words, expected="on", good=words == "on")
 
     def as_data(self) -> dict[str, Any]:
@@ -331,9 +323,9 @@ class SimulatedHands:
                 raise ControlRefused(
                     "The simulated bench did not answer.", remedy="Press Try again."
                 ) from error
-            if not isinstance(content, dict) or "error" in content:
-                what = content.get("error") if isinstance(content, dict) else answer
-                raise ControlRefused(f"The simulated bench refused: {what}", remedy="Give another value.")
+            if "error" in content:
+                what = f"The simulated bench refused: {content['error']}"
+                raise ControlRefused(what, remedy="Give another value.")
             self.seen = content.get("now")
         return self.seen or {}
 
@@ -353,7 +345,6 @@ class Bench:
 
 def open_bench(
     station: Station,
-    seed: int,
     opener: OpenDevices,
     make_meter: Callable[[], Meter],
     setting: Callable[[], LiveSetting],
@@ -363,7 +354,7 @@ def open_bench(
     clock = BenchClock()
     meter = make_meter()  # first: its process starts while the devices open
     try:
-        devices = opener(station, seed, clock)
+        devices = opener(station, clock)
     except BaseException:
         meter.close()
         raise

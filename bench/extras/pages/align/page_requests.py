@@ -44,11 +44,8 @@ class PageRequests:
 
     def light(self, _page: str, body: Mapping[str, Any]) -> Any:
         """Switch or set the light."""
-        numbers = {
-            name: _number(body, name)
-            for name in ("frequency_hz", "duty_percent", "level_percent")
-            if name in body
-        }
+        names = ("frequency_hz", "duty_percent", "level_percent")
+        numbers = {name: _number(body, name) for name in names if name in body}
         on = body.get("on")
         if on is not None and not isinstance(on, bool):
             raise UsageError("`on` must be true or false.", remedy=_AGAIN)
@@ -60,10 +57,8 @@ class PageRequests:
 
     def hands(self, _page: str, body: Mapping[str, Any]) -> Any:
         """Do something with the hands at the simulated camera."""
-        names = [name for name in body if name not in ("page", "action")]
-        return self._session.bench.hands.do(
-            str(body.get("action")), {name: _number(body, name) for name in names}
-        )
+        numbers = {name: _number(body, name) for name in body if name not in ("page", "action")}
+        return self._session.bench.hands.do(str(body.get("action")), numbers)
 
     def stop(self, _page: str, _body: Mapping[str, Any]) -> None:
         """Stop the stage."""

@@ -18,9 +18,6 @@ from bench.stations.placeholders import find_placeholders
 from bench.stations.station import load_station
 from drivers.errors import DriverError
 
-_STOPPED = 0  # Exit status: all devices confirmed that they are safe
-_NOT_CONFIRMED = 1  # Exit status: one did not
-
 
 def align_on_page(
     station: str,
@@ -69,7 +66,7 @@ def leave(session: Session) -> int:
         confirmed = session.close()
     for line in confirmation_lines(confirmed):
         print_line(line)
-    return _STOPPED if all(end.state == "confirmed safe" for end in confirmed) else _NOT_CONFIRMED
+    return 0 if all(end.state == "confirmed safe" for end in confirmed) else 1
 
 
 def confirmation_lines(confirmed: Sequence[DeviceEnd]) -> list[str]:

@@ -19,13 +19,7 @@ from bench.extras.pages.align.holder import Holder
 from bench.extras.pages.align.live_figures import LiveSetting
 from bench.extras.pages.align.live_loop import LivePicture
 from bench.extras.pages.align.meter import Meter, MeterProcess
-from bench.extras.pages.align.open_bench import (
-    Bench,
-    OpenDevices,
-    close_bench,
-    open_bench,
-    open_devices,
-)
+from bench.extras.pages.align.open_bench import Bench, OpenDevices, close_bench, open_bench, open_devices
 from bench.extras.pages.align.station_lines import station_lines
 from bench.extras.pages.web.server_sent import Changes
 from bench.record.device_end import DeviceEnd
@@ -48,12 +42,10 @@ class Session:
         self,
         station: Located[Station],
         *,
-        seed: int = 1,
         opener: OpenDevices = open_devices,
         make_meter: Callable[[], Meter] = MeterProcess,
     ) -> None:
         self.station = station
-        self._seed = seed
         self._opener = opener
         self._make_meter = make_meter
         self.changes = Changes()
@@ -93,12 +85,7 @@ class Session:
         self.changes.tell()
         try:
             self._bench = bench = open_bench(
-                self.station.value,
-                self._seed,
-                self._opener,
-                self._make_meter,
-                self._setting,
-                self.changes.tell,
+                self.station.value, self._opener, self._make_meter, self._setting, self.changes.tell
             )
             bench.loop.start()
         except FORESEEN as error:
@@ -141,15 +128,11 @@ class Session:
     def state(self) -> dict[str, Any]:
         """Return everything besides the picture, as plain values for JSON."""
         bench, station = self._bench, self.station.value
-        condition = (
-            "open" if bench else "opening" if self._opening else "failed" if self._failure else "closed"
-        )
+        failed = self._failure.to_dict() if self._failure else None
+        condition = "open" if bench else "opening" if self._opening else "failed" if failed else "closed"
         shown: dict[str, Any] = {
             "station": {"name": station.name, "file": self.station.file, "simulated": station.is_simulated},
-            "devices": {
-                "state": condition,
-                "failure": self._failure.to_dict() if self._failure else None,
-            },
+            "devices": {"state": condition, "failure": failed},
             "holder": self.holder.page,
             "stage": None,
             "light": None,

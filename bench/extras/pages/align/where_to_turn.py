@@ -156,10 +156,15 @@ def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float |
     """Return the angle of the grid, (3, 3), against the pixel rows or diagonals: -22.5 to 22.5, clockwise."""
     if grid is None:
         return None
-    middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
-    along = linear_at(grid, apply_homography(np.asarray(np.linalg.inv(grid)), middle))[0][:, 0]
+    along = _linear_in_the_middle(grid, size)[:, 0]
     angle = math.degrees(math.atan2(along[1], along[0]))
     return (angle + 22.5) % 45.0 - 22.5
+
+
+def _linear_in_the_middle(grid: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the derivative of a grid, (2, 2), in the middle of the image."""
+    middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
+    return linear_at(grid, apply_homography(np.asarray(np.linalg.inv(grid)), middle))[0]
 
 
 def grid_of(stars: QuickStars | None) -> NDArray[np.float64] | None:
@@ -178,9 +183,7 @@ def _focal_px(grid: NDArray[np.float64] | None, size: tuple[int, int], setting: 
     """Return the focal length by the pitch of the stars in the middle of the image, or the expected one."""
     if grid is None or setting.r_mm is None:
         return setting.focal_px
-    middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
-    linear = linear_at(grid, apply_homography(np.asarray(np.linalg.inv(grid)), middle))[0]
-    pitch_px = math.sqrt(abs(float(np.linalg.det(linear))))
+    pitch_px = math.sqrt(abs(float(np.linalg.det(_linear_in_the_middle(grid, size)))))
     focal_px = pitch_px * setting.r_mm / setting.target.pitch_mm
     return focal_px if math.isfinite(focal_px) and focal_px > 0.1 * size[0] else setting.focal_px
 

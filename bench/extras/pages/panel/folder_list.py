@@ -8,7 +8,8 @@ from __future__ import annotations
 import os
 import stat
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,9 +31,6 @@ _BatchStamp = tuple[Stamp, bool, float]
 _BATCH_AGAIN_S = 10.0  # A running batch is read again so often: its expected end changes
 MOST_NEW = 1000
 """Most runs that are read for the first time at one look: the list appears after a second, and grows."""
-_stat = (
-    os.stat
-)  # of paths as text: a list has ten thousand of them, and ``Path.stat`` takes several times as long
 
 
 @dataclass
@@ -41,20 +39,14 @@ class _Known:
 
     stamp: Stamp
     row: ListedRun
-    model: RunModel | None
-
-    @property
-    def is_over(self) -> bool:
-        """Whether only a new line of its journal can change it."""
-        return self.model is None
+    model: RunModel | None  # None if only a new line of its journal can change the row
 
 
 class FolderList:
     """The runs and batches of a folder, which need not exist yet, of its subfolders and of theirs."""
 
-    def __init__(self, root: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+    def __init__(self, root: Path) -> None:
         self.root = root
-        self._utc_now = utc_now
         self._runs: dict[str, _Known] = {}
         self._batches: dict[str, tuple[_BatchStamp, ListedBatch]] = {}
         self._lock = threading.Lock()
@@ -80,7 +72,7 @@ class FolderList:
             for folder, stamp in folders.items():
                 known = self._runs.get(folder)
                 new += known is None and folder not in self._batches
-                if known is not None and known.is_over and known.stamp == stamp:
+                if known is not None and known.model is None and known.stamp == stamp:
                     content["runs"].append(known.row)
                 elif known is None and new > MOST_NEW:
                     content["unread"] += 1
@@ -160,7 +152,7 @@ class FolderList:
 
     def _row(self, model: RunModel, process: ProcessState) -> ListedRun:
         return {
-            **brief_of(model, process, self._utc_now()),
+            **brief_of(model, process, datetime.now(UTC)),
             "key": self.key_of(model.folder),
             "camera": model.history.devices.get("camera", {}).get("serial", ""),
             "fault": next(iter(faults_of(model, process)), ""),
@@ -170,9 +162,8 @@ class FolderList:
         from bench.batch.batch_status import read_batch_status
         from bench.record.folder_lock import is_locked
 
-        now = self._utc_now()
         running = is_locked(folder)
-        stamp = journal, running, now.timestamp() // _BATCH_AGAIN_S if running else 0
+        stamp = journal, running, time.time() // _BATCH_AGAIN_S if running else 0
         kept = self._batches.get(str(folder))
         if kept is not None and kept[0] == stamp:
             return kept[1]
@@ -216,7 +207,8 @@ def _no_such_run(key: str, root: Path) -> RunFolderError:
 def _journal_stamp(folder: str) -> Stamp | None:
     """Return which file a folder's journal is, its size and time; None if it has none."""
     try:
-        status = _stat(f"{folder}/{JOURNAL}")
+        # Of a path as text: a list has ten thousand of them, and ``Path.stat`` takes several times as long.
+        status = os.stat(f"{folder}/{JOURNAL}")  # noqa: PTH116
     except (FileNotFoundError, NotADirectoryError):
         return None
     if not stat.S_ISREG(status.st_mode):

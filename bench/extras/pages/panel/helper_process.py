@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Required, TypedDict, TypeVar
 
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from bench.base.worker_process import answer_questions
 from bench.run.last_view import LastView
+from calib.arrays import Array
 
 if TYPE_CHECKING:
     from bench.extras.pages.panel.shown_run import Uncertainties
     from bench.measure.measure import StoredImage
     from bench.plan.job import Job
 
-Array = NDArray[np.float64]
 T_co = TypeVar("T_co", covariant=True)
 T = TypeVar("T")
 
@@ -228,7 +228,7 @@ def _measured_picture(request: PictureRequest) -> tuple[PictureAnswer, bytes]:
         step,
         job.frequency_hz(step),
         job.target,
-        None if grid is None else partial(_given_grid, grid),
+        None if grid is None else lambda _image_size: np.array(grid, np.float64),
     )
     image: StoredImage | None = measured.image
     if image is None:
@@ -239,10 +239,6 @@ def _measured_picture(request: PictureRequest) -> tuple[PictureAnswer, bytes]:
         return {**picture_answer(size, np.zeros((0, 2))), "fault": measured.fault}, image.png
     nodes = job.target.node_of(measured.view.ids).astype(np.float64)
     return own_residuals(size, nodes, measured.view.points_px), image.png
-
-
-def _given_grid(grid: Sequence[Sequence[float]], _image_size: tuple[int, int]) -> Array:
-    return np.array(grid, np.float64)
 
 
 @lru_cache(maxsize=_JOBS_KEPT)

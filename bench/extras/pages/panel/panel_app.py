@@ -164,12 +164,12 @@ class Panel:
 
     async def _run_stream(self, request: Request) -> EventStream:
         folder = self._folder(request, "run")
-        after = last_id(request)
-        return EventStream(self._run_messages(folder, whole_number(after or "0")))
+        return EventStream(self._run_messages(folder, whole_number(last_id(request) or "0")))
 
     async def _run_messages(self, folder: Path, after: int) -> AsyncIterator[Message]:
         watch = await run_in_threadpool(self._watcher.open, folder)
-        self._keep_extras(watch)
+        if watch not in self._extras:
+            self._extras[watch] = asyncio.create_task(Extras(watch, self._background).keep_up())
         generation: int | None = None
         try:
             while True:
@@ -181,10 +181,6 @@ class Panel:
             self._watcher.leave(watch)
             if watch.readers <= 0 and (task := self._extras.pop(watch, None)) is not None:
                 task.cancel()
-
-    def _keep_extras(self, watch: RunWatch) -> None:
-        if watch not in self._extras:
-            self._extras[watch] = asyncio.create_task(Extras(watch, self._background).keep_up())
 
     async def _run_state(self, request: Request) -> Response:
         """Answer with the whole state once, for a page that joins a stream that another page has opened."""

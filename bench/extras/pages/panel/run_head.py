@@ -72,13 +72,8 @@ def look_at_process(folder: Path, state: str) -> ProcessState:
     sealed = is_sealed(folder)
     if not running:
         return ProcessState(sealed=sealed)
-    return ProcessState(
-        running,
-        sealed,
-        (folder / CONTROL).is_dir(),
-        _quiet_s(folder, state),
-        _free_bytes(folder),
-    )
+    takes_commands = (folder / CONTROL).is_dir()
+    return ProcessState(running, sealed, takes_commands, _quiet_s(folder, state), _free_bytes(folder))
 
 
 def _quiet_s(folder: Path, state: str) -> float | None:
@@ -289,11 +284,7 @@ def _question(model: RunModel, asked: Asked) -> QuestionData:
     timeout_s, until = asked["timeout_s"], ""
     if timeout_s is not None:
         until = (datetime.fromisoformat(model.asked_utc) + timedelta(seconds=timeout_s)).isoformat()
-    return {
-        "text": model.history.question,
-        "default": asked["default"],
-        "until_utc": until,
-    }
+    return {"text": model.history.question, "default": asked["default"], "until_utc": until}
 
 
 def _left_s(model: RunModel, process: ProcessState, now: datetime) -> float | None:
@@ -328,9 +319,7 @@ def _counts(model: RunModel) -> CountsData:
         "accepted": len(history.accepted()),
         "skipped": len(history.skipped),
         "recordings": recordings + lost,
-        "retries": max(
-            0, recordings + lost - len({*history.lost, *(a.pose_index for a in history.attempts)})
-        ),
+        "retries": recordings + lost - len({*history.lost, *(a.pose_index for a in history.attempts)}),
         "resumed": history.resumed,
     }
 

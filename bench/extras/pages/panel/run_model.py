@@ -66,10 +66,7 @@ class RunModel:
     @property
     def last_checked(self) -> AttemptChecked | None:
         """What the journal holds of the last recording that was measured."""
-        return next(
-            (attempt.checked for attempt in reversed(self.history.attempts) if attempt.checked is not None),
-            None,
-        )
+        return next((a.checked for a in reversed(self.history.attempts) if a.checked is not None), None)
 
     @property
     def gate_failures(self) -> Mapping[str, int]:
@@ -136,8 +133,7 @@ class RunModel:
             )
             return
         if text:
-            line = LogLine(line=self.lines, utc=entry.utc, text=text, tone=_tone(entry))
-            self.log.append(line)
+            self.log.append({"line": self.lines, "utc": entry.utc, "text": text, "tone": _tone(entry)})
 
     def _read_plan(self) -> None:
         self.plan = read_plan(self.folder)

@@ -10,7 +10,7 @@ import json
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -56,7 +56,7 @@ _MOST_POSES_TO_FORECAST = 60  # Further poses change little
 class RunWatch:
     """One run that pages watch."""
 
-    def __init__(self, folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+    def __init__(self, folder: Path) -> None:
         self.model = RunModel(folder)
         self.process = ProcessState()
         self.changes = Changes()
@@ -66,7 +66,6 @@ class RunWatch:
         self.views: dict[tuple[int, int], LastView] = {}
         """Pictures that the run has left, by pose and attempt; the newest last."""
         self.lock = threading.RLock()
-        self._utc_now = utc_now
         self._process_at_s = self._told_at_s = float("-inf")
         self._messages: dict[tuple[int, bool], str] = {}
         self._last_head: RunHead | None = None
@@ -128,7 +127,7 @@ class RunWatch:
     def _head(self) -> RunHead:
         """Return the head; that of before, with the fault, if another version's journal confuses it."""
         try:
-            self._last_head = head_of(self.model, self.process, self._utc_now())
+            self._last_head = head_of(self.model, self.process, datetime.now(UTC))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             if self._last_head is None:
                 raise

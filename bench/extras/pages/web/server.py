@@ -46,14 +46,7 @@ def print_line(text: str) -> None:
     sys.stdout.flush()
 
 
-def serve_pages(
-    app: ASGIApp,
-    *,
-    host: str = LOOPBACK,
-    port: int = 0,
-    token: PageToken | None = None,
-    open_browser: bool = True,
-) -> None:
+def serve_pages(app: ASGIApp, *, host: str, port: int, token: PageToken | None, open_browser: bool) -> None:
     """Serve pages until SIGINT, SIGTERM or SIGHUP, then raise `KeyboardInterrupt`. Only for the main thread.
 
     Port 0 is any free one; ``token`` None: none is needed. The address is printed when the server accepts connections.

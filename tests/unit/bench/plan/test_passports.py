@@ -17,7 +17,7 @@ from bench.evidence.passport_seal import read_passport_seal, seal_passport
 from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.passport_file import parse_passport, passport_bytes, read_passport_file
 from bench.plan.plan import load_documents, make_plan
-from bench.record.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
+from bench.record.run_folder import PASSPORT_COPY, PLAN, SEQUENCE_COPY, STATION_COPY
 from bench.solve.passports import seal_file, sealed_bytes, seals_of
 from bench.wording.plan_text import render_plan
 from calib.model.passport import Passport
@@ -221,7 +221,7 @@ def test_a_run_reads_the_copy_in_its_folder(bench, tmp_path):
     run.mkdir()
     for name, data in documents_of(plan).items():
         (run / name).write_bytes(data)
-    assert sorted(documents_of(plan)) == [PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY]
+    assert sorted(documents_of(plan)) == [PASSPORT_COPY, PLAN, SEQUENCE_COPY, STATION_COPY]
     (tmp_path / "a" / "p.json").unlink()
     again = Job.from_run_folder(run).plan
     assert again.passport.in_use.to_dict() == plan.passport.in_use.to_dict()

@@ -29,11 +29,11 @@ def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_pat
         for pose, attempt, accepted in ATTEMPTS:
             which = {"pose": pose, "attempt": attempt}
             name = f"{pose}-{attempt}"
-            journal.append_unsynced(Event.CAPTURE_STORED, pose_name=f"p{pose}", capture=name, **which)
+            journal.append(Event.CAPTURE_STORED, pose_name=f"p{pose}", capture=name, **which)
             if accepted is not None:
-                journal.append_unsynced(Event.ATTEMPT_CHECKED, accepted=accepted, **which)
+                journal.append(Event.ATTEMPT_CHECKED, accepted=accepted, **which)
         history = replay(journal.entries)
-        journal.append_unsynced(Event.ATTEMPT_CHECKED, pose=1, attempt=3, accepted=True)
+        journal.append(Event.ATTEMPT_CHECKED, pose=1, attempt=3, accepted=True)
         with pytest.raises(JournalBroken, match="pose 1, attempt 3"):  # it was never stored
             replay(journal.entries)
     assert {p: a.stored["capture"] for p, a in history.accepted().items()} == {1: "1-2", 2: "2-2"}
@@ -56,12 +56,12 @@ def test_time_counts_for_the_step_at_work_without_holds_and_without_the_time_bet
             (62.0, Event.LEFT_OFF, {"state": "settling"}),
         ):
             now["s"] = after_s
-            journal.append_unsynced(event, **data)
+            journal.append(event, **data)
         now["s"] = 5000.0
-        journal.append_unsynced(Event.RUN_RESUMED, torn_bytes=0, software={})
-        journal.append_unsynced(Event.ENTERING, state="settling", **{"from": "idle"}, step=8)
+        journal.append(Event.RUN_RESUMED, torn_bytes=0, software={})
+        journal.append(Event.ENTERING, state="settling", **{"from": "idle"}, step=8)
         now["s"] = 5001.0
-        journal.append_unsynced(Event.STEP_DONE, step=8)
+        journal.append(Event.STEP_DONE, step=8)
         history = replay(journal.entries)
     assert history.worked_s == {7: 1.5, 8: 3.0}
 
