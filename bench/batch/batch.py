@@ -32,7 +32,7 @@ from bench.batch.batch_record import (
     replay_batch,
     resume_text,
 )
-from bench.batch.batch_requests import REQUESTS, Request, RequestInbox, refusal
+from bench.batch.batch_requests import REQUESTS, Request, answered, refusal
 from bench.batch.batch_status import DoneRun
 from bench.batch.batch_summary import RUNS, missed_goals, summarise, write_summary
 from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
@@ -154,13 +154,8 @@ class Batch:
             self._say(resume_text(self._record))
         if not self._rehearsal:
             self._messages.add_recipients(job.station for job in self._queue.value.jobs)
-        requests = RequestInbox(self.folder, self._answer, self._clock)
-        requests.drain()
-        requests.watch()
-        try:
+        with answered(self.folder, self._answer, self._clock):
             how, why = self._run_all()
-        finally:
-            requests.close()
         self._journal_event(BatchEnded, how=how, why=why)
         if not self._rehearsal:
             summary = summarise(self.folder, self._record)
@@ -202,12 +197,11 @@ class Batch:
     def _choose_next(self) -> Item | float | None:
         with self._lock:
             record = self._record
-            return choose_next(
-                record.pending(),
-                self._at_s(),
-                record.bounds,
-                lambda item: record.expected_duration_s(item, planned_duration_s(item.job)),
-            )
+
+            def lasts(item: Item) -> float:
+                return record.expected_duration_s(item, planned_duration_s(item.job))
+
+            return choose_next(record.pending(), self._at_s(), record.bounds, lasts)
 
     def _run_all(self) -> tuple[str, str]:
         """Do all runs; return how this ended, and why."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -63,48 +64,38 @@ def refusal(request: Request, record: BatchRecord) -> str:
         assert request.name is not None
         if request.name not in record.jobs:
             return f"there is no job {request.name}"
-        return (
-            ""
-            if record.withdrawable(request.name)
-            else f"all runs of {request.name} have begun or are withdrawn"
-        )
+        if record.withdrawable(request.name):
+            return ""
+        return f"all runs of {request.name} have begun or are withdrawn"
     assert request.job is not None
     if request.job.name.lower() in map(str.lower, record.jobs):
         return f"the batch already has or had a job {request.job.name}"
     return "; ".join(job_faults(request.job)[:3])
 
 
-class RequestInbox:
-    """Answers the requests to a batch in its folder, locked by this process.
+@contextmanager
+def answered(
+    folder: Path, answer: Callable[[Request | None, str], None], clock: BenchClock
+) -> Iterator[None]:
+    """Answer the requests to a batch in its folder, locked by this process, before the block and beside it.
 
     ``answer`` journals a decision on a request (None: the file holds none) in a file; if it cannot, the clock is asked
-    to stop.
+    to stop. Requests that remain wait for the next process.
     """
 
-    def __init__(
-        self, folder: Path, answer: Callable[[Request | None, str], None], clock: BenchClock
-    ) -> None:
-        self._inbox = _inbox_of(folder)
-        self._answer = answer
-        self._clock = clock
-        self._poller = Poller(self.drain, self._failed, name="requests", period_s=POLL_S)
-
-    def drain(self) -> None:
-        """Answer all requests in the folder, oldest first."""
-        self._inbox.drain(self._answer)
-
-    def watch(self) -> None:
-        """Answer requests in the background while the batch does its runs."""
-        self._poller.start()
-
-    def close(self) -> None:
-        """Stop answering; requests that remain wait for the next process."""
-        self._poller.close()
-
-    def _failed(self, error: Exception) -> None:
+    def failed(error: Exception) -> None:
         if not isinstance(error, BenchError):
             raise error
-        self._clock.request_stop(f"requests cannot be answered any more: {error}")
+        clock.request_stop(f"requests cannot be answered any more: {error}")
+
+    inbox = _inbox_of(folder)
+    poller = Poller(lambda: inbox.drain(answer), failed, name="requests", period_s=POLL_S)
+    inbox.drain(answer)
+    poller.start()
+    try:
+        yield
+    finally:
+        poller.close()
 
 
 def _inbox_of(folder: Path) -> Inbox[Request]:

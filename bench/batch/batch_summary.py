@@ -5,12 +5,12 @@ Made from the batch's journal and those of its runs, as ``summary.json`` and ``s
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError, RunFolderError
 from bench.batch.batch_record import BatchRecord, Requested, RunState, by_priority, replay_batch
 from bench.charts.chart_findings import find_charts, needs_attention
@@ -64,7 +64,7 @@ def read_batch(folder: Path) -> BatchRecord:
 def write_summary(folder: Path, record: BatchRecord) -> BatchSummary:
     """Write ``summary.json`` and ``summary.html``, and return the content of the first."""
     summary = summarise(folder, record)
-    write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+    write_atomic(folder / SUMMARY, canonical_json(summary))
     write_atomic(folder / PAGE, render_batch(summary).encode())
     return summary
 
@@ -77,17 +77,11 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     solved = [runs[key] for key in ended]
     working = _run_in_progress(folder, record)
     grouped = group_runs(((runs[key], details[key], RunPlace()) for key in ended), "camera")
-    items = [
-        _item(
-            run,
-            folder,
-            runs.get(run.item.key),
-            details.get(run.item.key),
-            unread.get(run.item.key),
-            _outcome(run, working),
-        )
-        for run in _in_order_of_begin(record)
-    ]
+    items = []
+    for run in _in_order_of_begin(record):
+        key = run.item.key
+        of_key = runs.get(key), details.get(key), unread.get(key)
+        items.append(_item(run, folder, *of_key, _outcome(run, working)))
     return {
         "schema": SCHEMA,
         "queue": record.queue.name,
@@ -169,12 +163,8 @@ def _item(
         "ended_utc": _iso(attempts[-1].ended) if attempts else None,
         "took_s": round(sum(attempt.duration_s for attempt in attempts), 1) if attempts else None,
         "tries": [
-            {
-                "begun_utc": attempt.begun.isoformat(),
-                "ended_utc": attempt.ended.isoformat(),
-                "how": attempt.how,
-            }
-            for attempt in attempts
+            {"begun_utc": each.begun.isoformat(), "ended_utc": each.ended.isoformat(), "how": each.how}
+            for each in attempts
         ],
         "report": f"{path}/{REPORT}" if (folder / path / REPORT).is_file() else None,
         "camera": stated.camera,

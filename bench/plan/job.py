@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import ScriptError
 from bench.measure.camera_kinds import CameraKind, camera_kind
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
@@ -195,5 +195,4 @@ def documents_of(plan: Plan) -> dict[str, bytes]:
         documents[PASSPORT_COPY] = plan.passport.in_use.data
     if plan.checked.in_use is not None:
         documents[CHECKED_COPY] = plan.checked.in_use.file.data
-    planned = (json.dumps(plan.to_dict(), indent=1) + "\n").encode()
-    return documents | description_documents(plan.station.value) | {PLAN: planned}
+    return documents | description_documents(plan.station.value) | {PLAN: canonical_json(plan.to_dict())}

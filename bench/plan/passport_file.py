@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from bench.base.bounded_json import parse_json
+from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.record.storage import read_bounded
 from calib.errors import InputMismatch
@@ -155,4 +154,4 @@ def _refuse_indefinite(passport: Passport) -> None:
 
 def passport_bytes(passport: Passport) -> bytes:
     """Return the bytes of a passport's file."""
-    return (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode()
+    return canonical_json(passport.to_dict())

@@ -98,9 +98,8 @@ class PassportInUse:
     def temperature_c(self) -> float | None:
         """Temperature for which the passport holds, degrees Celsius, if the passport states it."""
         stated_c = self.passport.conditions.get("temperature_c")
-        return (
-            float(stated_c) if isinstance(stated_c, int | float) and not isinstance(stated_c, bool) else None
-        )
+        is_number = isinstance(stated_c, int | float) and not isinstance(stated_c, bool)
+        return float(stated_c) if is_number else None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what results.json states: origin, identity, validity, values, standard uncertainties, hash."""
@@ -222,11 +221,9 @@ def choose_passport(
 def station_passport(station: Located[OfflineStation], today: date) -> PassportChoice:
     """Read and check the passport or certificate that a station states, for files that are of no run."""
     named = _of_station(station, other_accepted=False)
-    return (
-        PassportChoice()
-        if named is None
-        else _checked(named, station.value.collimator, frozenset(), None, today)
-    )
+    if named is None:
+        return PassportChoice()
+    return _checked(named, station.value.collimator, frozenset(), None, today)
 
 
 def _checked(

@@ -123,12 +123,10 @@ class RunFault:
         return self.run.head, self.kind
 
     def __str__(self) -> str:
-        folder = self.run.folder
-        missing, changed = (
-            f"its folder {folder} is missing",
-            f"{Path(folder) / MANIFEST} was changed after sealing",
-        )
-        return f"run {self.run.number} ({self.run.run_id}): {missing if self.kind == 'missing' else changed}"
+        what = f"its folder {self.run.folder} is missing"
+        if self.kind == "changed":
+            what = f"{Path(self.run.folder) / MANIFEST} was changed after sealing"
+        return f"run {self.run.number} ({self.run.run_id}): {what}"
 
 
 def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:

@@ -193,16 +193,18 @@ class RunFolder:
         return target
 
 
+def require_run(path: Path) -> None:
+    """Refuse a folder in which no run has begun."""
+    if not (path / JOURNAL).is_file():
+        what = f"This is not a run folder: it has no {JOURNAL}."
+        raise RunFolderError(what, where=str(path), remedy="Name the folder that a run was written to.")
+
+
 def require_resumable(path: Path) -> None:
     """Refuse a folder that is missing, is no run folder, or is sealed: its run cannot be continued."""
     if not path.is_dir():
         raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")
-    if not (path / JOURNAL).is_file():
-        raise RunFolderError(
-            f"This is not a run folder: it has no {JOURNAL}.",
-            where=str(path),
-            remedy="Name the folder that a run was written to.",
-        )
+    require_run(path)
     if is_sealed(path):
         raise RunFolderError(
             "This run is finished and sealed.",

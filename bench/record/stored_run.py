@@ -17,7 +17,7 @@ from bench.base.errors import RunFolderError
 from bench.record.history import History, replay
 from bench.record.journal import Capture, read_journal, stored_captures
 from bench.record.journal_line import Entry
-from bench.record.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
+from bench.record.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed, require_run
 from bench.record.storage import read_bounded, sha256_of
 
 if TYPE_CHECKING:
@@ -37,12 +37,7 @@ class StoredRun:
     @classmethod
     def open(cls, folder: Path) -> StoredRun:
         """Open the folder of a run that has begun. Raises RunFolderError if it has no journal."""
-        if not (folder / JOURNAL).is_file():
-            raise RunFolderError(
-                f"This is not a run folder: it has no {JOURNAL}.",
-                where=str(folder),
-                remedy="Name the folder of a run.",
-            )
+        require_run(folder)
         return cls(folder)
 
     @cached_property

@@ -35,16 +35,9 @@ def distortion_curve(
     # The last bits differ between processes; the plot does not need them.
     shown, expanded = np.round(shown, 6), np.round(k * sigma, 6)
     lower, upper = shown - expanded, shown + expanded
-    ideal = (
-        "f \N{GREEK SMALL LETTER THETA}"
-        if is_fisheye(camera.distortion)
-        else "f tan \N{GREEK SMALL LETTER THETA}"
-    )
-    around = Words(
-        (f"Radial displacement; band: U, k = {k:.3g}",),
-        "field angle, degrees",
-        f"displacement from {ideal}, px",
-    )
+    ideal = f"f {'' if is_fisheye(camera.distortion) else 'tan '}\N{GREEK SMALL LETTER THETA}"
+    title = f"Radial displacement; band: U, k = {k:.3g}"
+    around = Words((title,), "field angle, degrees", f"displacement from {ideal}, px")
     last = float(angles[-1])
     about = f"At {last:.3g} degrees the displacement is {shown[-1]:.3g} px, with U = {expanded[-1]:.2g} px."
     picture = Picture(

@@ -80,13 +80,8 @@ def residual_cloud(views: Sequence[ViewPicture]) -> str:
     rms = float(np.sqrt(np.mean(lengths**2)))
     reach = 1.15 * max(float(np.percentile(lengths, _CLOUD_PERCENTILE)), 1e-6)
     words = Words(("Residuals around zero; circle: their RMS length",), "column, px", "row, px")
-    picture = Picture(
-        PANEL[0],
-        1.1 * PANEL[0],
-        "cloud",
-        "Residuals around zero",
-        f"Root mean square of the length: {rms:.3g} px.",
-    )
+    about = f"Root mean square of the length: {rms:.3g} px."
+    picture = Picture(PANEL[0], 1.1 * PANEL[0], "cloud", "Residuals around zero", about)
     axes = axes_in(picture, Scale(-reach, reach), Scale(reach, -reach), words, equal=True)
     for colour, _, residuals in _by_colour(thinned(views)):
         axes.dots(residuals[np.linalg.norm(residuals, axis=1) <= reach], colour, 2.2, 0.6)
@@ -107,13 +102,8 @@ def coverage(
     about = (
         f"{sum(len(view.detected) for view in views)} {words.points}, near {100 * share:.0f} % of the sensor."
     )
-    axes = sensor_axes(
-        image_size,
-        (title,),
-        "coverage",
-        f"{words.capital} on the sensor, and the part that they support",
-        about,
-    )
+    label = f"{words.capital} on the sensor, and the part that they support"
+    axes = sensor_axes(image_size, (title,), "coverage", label, about)
     axes.shapes([_whole(image_size)], GROUND)
     for colour, detected, _ in _by_colour(thinned(views)):
         axes.dots(detected, colour, 2.2)

@@ -96,11 +96,9 @@ def _data_uri(image: NDArray[np.uint8], limit_bytes: int) -> str:
     """Encode an image without loss if the result is small enough, otherwise with increasing loss."""
     data, kind = b"", ""
     for scale, quality in _ENCODINGS:
-        shown = (
-            image
-            if scale == 1.0
-            else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        )
+        shown = image
+        if scale != 1.0:
+            shown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         kind = "png" if quality is None else "jpeg"
         settings = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
         data = cv2.imencode(f".{kind}", shown, settings)[1].tobytes()

@@ -95,12 +95,10 @@ def check_rows(check: StatedCheck | None) -> Rows:
     if check is None:
         return []
     stated = check.stated
-    whose = (
-        ""
-        if stated.get("uncertainty")
-        else " U is that of the new views alone: the file states no uncertainty."
-    )
-    return [(f"Check of the calibration {stated.get('name', '')}", " ".join(check_sentences(check)) + whose)]
+    sentences = [*check_sentences(check)]
+    if not stated.get("uncertainty"):
+        sentences.append("U is that of the new views alone: the file states no uncertainty.")
+    return [(f"Check of the calibration {stated.get('name', '')}", " ".join(sentences))]
 
 
 def boresight_rows(results: Results) -> Rows:
@@ -154,16 +152,14 @@ def _agreement(estimate: GimbalEstimate | None) -> str:
     """Return how the readings agree with the stars."""
     if not estimate:
         return ""
-    enlarged = (
-        f"; entered with a standard uncertainty of {estimate.reading_sigma_deg:.3g}°, because they scatter more "
-        "than stated"
-        if estimate.scatter > 1
-        else ""
-    )
-    return (
+    text = (
         f"; chi-square {estimate.chi_square:.3g} with {estimate.degrees_of_freedom} degrees of freedom, "
-        f"{3600 * estimate.rms_deg:.2g} arc seconds RMS{enlarged}"
+        f"{3600 * estimate.rms_deg:.2g} arc seconds RMS"
     )
+    if estimate.scatter <= 1:
+        return text
+    entered = f"; entered with a standard uncertainty of {estimate.reading_sigma_deg:.3g}°"
+    return f"{text}{entered}, because they scatter more than stated"
 
 
 def _bound(bound: Numbers) -> str:

@@ -26,11 +26,9 @@ def conformity_headline(conformity: Conformity) -> str:
     'PASS: the checked calibration is right.'
     """
     if not conformity.statements:  # a check alone
-        return (
-            "PASS: the checked calibration is right."
-            if conformity.passed
-            else "FAIL: the checked calibration is not right, or a gate failed."
-        )
+        if conformity.passed:
+            return "PASS: the checked calibration is right."
+        return "FAIL: the checked calibration is not right, or a gate failed."
     kept = sum(statement.verdict == "pass" for statement in conformity.statements)
     return f"{'PASS' if conformity.passed else 'FAIL'}: {kept} of {len(conformity.statements)} limits kept."
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "skew": "px", "x": "mm", "y": "mm", "r": "mm"}
-_MEANINGS = {
+MEANINGS = {
     "fx": "focal length, along rows",
     "fy": "focal length, along columns",
     "cx": "principal point, column",
@@ -31,12 +31,11 @@ _MEANINGS = {
     "astigmatism": "collimator: astigmatism",
     "rim_4": "collimator: rim of the beam, 4th order",
     "rim_10": "collimator: rim of the beam, 10th order",
+    "kb1": "fisheye distortion, 2nd order",
+    "kb2": "fisheye distortion, 4th order",
+    "kb3": "fisheye distortion, 6th order",
+    "kb4": "fisheye distortion, 8th order",
 }
-
-
-def known_parameters() -> tuple[str, ...]:
-    """Return the names of all parameters that have a meaning in words."""
-    return tuple(_MEANINGS)
 
 
 def unit_of(parameter: str) -> str:
@@ -52,4 +51,4 @@ def unit_text(name: str) -> str:
 
 def meaning_of(parameter: str) -> str:
     """Return a short description of a parameter; empty for an unknown one."""
-    return _MEANINGS.get(parameter, "")
+    return MEANINGS.get(parameter, "")

@@ -82,11 +82,7 @@ def _local_runs(path: Path) -> list[str]:
         raise UsageError(what, where=str(path), remedy="Give folders of runs or recordings.")
     if (path / JOURNAL).is_file():
         return [str(path)]
-    runs = [
-        entry.name
-        for entry in path.iterdir()
-        if (entry / JOURNAL).is_file() and not entry.name.startswith(".")
-    ]
+    runs = [file.parent.name for file in path.glob(f"[!.]*/{JOURNAL}") if file.is_file()]
     return [str(path / name) for name in sorted(runs, key=natural_order)] or [str(path)]
 
 

@@ -221,14 +221,11 @@ def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, 
     waiting: deque[_Next] = deque()
     try:
         for number, place in enumerate(places):
-            far = place.is_remote
-            listed_by = (
-                pool.submit(list_recordings, place, task).result
-                if far
-                else partial(list_recordings, place, task)
-            )
+            listed_by, ahead = partial(list_recordings, place, task), 0
+            if place.is_remote:
+                listed_by, ahead = pool.submit(listed_by).result, _AHEAD
             waiting.append((number, place, listed_by))
-            if len(waiting) > (_AHEAD if far else 0):
+            if len(waiting) > ahead:
                 yield waiting.popleft()
         yield from waiting
     finally:

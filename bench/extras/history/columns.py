@@ -14,20 +14,14 @@ from typing import Literal, NamedTuple
 
 from bench.evidence.states import ShownState
 from bench.record.run_facts import IndexedRun, RunDetails, RunPlace
-from bench.wording.parameters import known_parameters, meaning_of, unit_text
+from bench.wording.parameters import MEANINGS, unit_text
 
 SCHEMA = "starbench/runs-table/1"
 """Name and version. Columns may be added within a version; they are never removed or given another meaning."""
 
 Kind = Literal["text", "texts", "integer", "number", "truth", "moment"]
-_FURTHER = {
-    "kb1": "fisheye distortion, 2nd order",
-    "kb2": "fisheye distortion, 4th order",
-    "kb3": "fisheye distortion, 6th order",
-    "kb4": "fisheye distortion, 8th order",
-}
 
-PARAMETERS = tuple(dict.fromkeys((*known_parameters(), *_FURTHER)))
+PARAMETERS = tuple(MEANINGS)
 """Parameters that have columns of their own."""
 
 Cell = str | float | bool | datetime | list[str] | None
@@ -152,7 +146,7 @@ def parameter_columns(parameter: str) -> tuple[str, str, str]:
 def _of_parameter(parameter: str) -> tuple[Column, ...]:
     unit = unit_text(parameter)
     meanings = (
-        meaning_of(parameter) or _FURTHER[parameter],
+        MEANINGS[parameter],
         f"standard uncertainty of {parameter}",
         f"expanded uncertainty of {parameter}, its own k times the standard uncertainty",
     )

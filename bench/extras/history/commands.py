@@ -22,7 +22,7 @@ from bench.evidence.authorisations import known_authorisations
 from bench.evidence.merged_runs import MergedRuns
 from bench.evidence.states import home_trust, shown_state
 from bench.extras.history.columns import SCHEMA, Row, table_row
-from bench.extras.history.table import require_writable_table, write_table
+from bench.extras.history.table import require_ending, require_writable_table, write_table
 from bench.record.coverage import REPEATS_TEXT
 from bench.record.run_facts import IndexedRun
 from bench.record.run_index import RunIndex
@@ -130,7 +130,10 @@ def _chart_runs(choice: RunChoice, baseline: int | None, page: Path) -> int:
 
     Exit status: 1 out of control, a drift, or ledgers and folders that differ; else 0.
     """
-    _require_page(page)
+    require_ending(page, (".html", ".htm"))
+    if not page.absolute().parent.is_dir():
+        what = "The folder of this file does not exist."
+        raise UsageError(what, where=str(page), remedy="Choose another name.")
     merged = find_runs(choice)
     facts = RunIndex(home_folder()).details(merged.runs)
     grouped = group_runs(((run, more, merged.places[run.folder]) for run, more in facts))
@@ -155,17 +158,6 @@ def _chart_runs(choice: RunChoice, baseline: int | None, page: Path) -> int:
     )
     status = print_findings(merged.faults, notes)
     return status or int(any(map(needs_attention, charts["groups"])))
-
-
-def _require_page(page: Path) -> None:
-    if page.suffix.lower() not in {".html", ".htm"} or page.is_dir():
-        raise UsageError(
-            "The page is an HTML file.", where=str(page), remedy="Choose a name that ends in .html."
-        )
-    if not page.absolute().parent.is_dir():
-        raise UsageError(
-            "The folder of this file does not exist.", where=str(page), remedy="Choose another name."
-        )
 
 
 def _verdict_text(groups: Sequence[ChartGroupData]) -> str:

@@ -24,14 +24,17 @@ _FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
 CSV injection)."""
 
 
+def require_ending(path: Path, endings: Sequence[str]) -> None:
+    """Refuse a name for a file of some kinds that ends otherwise."""
+    if path.suffix.lower() not in endings:
+        what = f"This cannot be written as {path.suffix or 'a file without an ending'}."
+        remedy = f"Choose a name that ends in {' or '.join(endings)}."
+        raise UsageError(what, where=str(path), remedy=remedy)
+
+
 def require_writable_table(path: Path) -> None:
     """Refuse a name or a place at which no table can be written, before any work begins."""
-    if path.suffix.lower() not in ENDINGS:
-        raise UsageError(
-            f"The table can be written as Parquet or CSV, not as {path.suffix or 'a file without an ending'}.",
-            where=str(path),
-            remedy="Choose a name that ends in .parquet or .csv.",
-        )
+    require_ending(path, ENDINGS)
     require_free(path)
     if path.suffix.lower() == ".parquet":
         _pyarrow()
@@ -55,7 +58,7 @@ def _pyarrow() -> Any:
     return pa
 
 
-def arrow_schema(faults: Sequence[str] = ()) -> Any:
+def arrow_schema(faults: Sequence[str]) -> Any:
     """Return the Parquet schema: each column's unit and meaning, ``starbench_schema`` and ``starbench_faults``."""
     pa = _pyarrow()
     kinds = {

@@ -78,7 +78,7 @@ def test_a_single_run_is_too_few(tmp_path, capsys, home):
     ("words", "what"),
     [
         ([*CHARTS, "empty"], "There is no run with a result."),
-        ([*CHARTS, "runs", "--output", "x.pdf"], "The page is an HTML file."),
+        ([*CHARTS, "runs", "--output", "x.pdf"], "a name that ends in .html"),
         ([*CHARTS, "runs", "--output", "none/x.html"], "The folder of this file does not exist."),
         ([*TABLE, "runs", "--baseline", "9"], "`history charts` has it."),
         (["history", "agreement", "runs", "-o", "x.csv"], "`history agreement` writes no file."),

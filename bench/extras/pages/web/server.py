@@ -6,7 +6,6 @@ No URL is ever logged. A token made for this start stands behind the ``#`` of th
 from __future__ import annotations
 
 import asyncio
-import errno
 import html
 import os
 import signal
@@ -236,28 +235,12 @@ def _bound_socket(host: str, port: int) -> socket.socket:
         bound.listen(_WAITING)
     except OSError as error:
         bound.close()
-        raise _bind_error(error, host, port) from error
+        raise UsageError(
+            f"This address or port cannot be used: {error.strerror or error}.",
+            where=f"--host {host} --port {port}",
+            remedy="Name an address of this computer and another port from 1024 to 65535, or leave both out.",
+        ) from error
     return bound
-
-
-def _bind_error(error: OSError, host: str, port: int) -> UsageError:
-    if error.errno == errno.EADDRINUSE:
-        return UsageError(
-            f"Port {port} is in use by another program.",
-            where=f"--port {port}",
-            remedy="Name another port, or leave --port out: a free one is then chosen.",
-        )
-    if error.errno == errno.EACCES:
-        return UsageError(
-            f"Port {port} needs the rights of the system's administrator.",
-            where=f"--port {port}",
-            remedy="Name a port from 1024 to 65535.",
-        )
-    return UsageError(
-        f"This address cannot be used: {error.strerror or error}.",
-        where=f"--host {host}",
-        remedy="Name an address of this computer, or leave --host out.",
-    )
 
 
 def _shown(host: str) -> str:

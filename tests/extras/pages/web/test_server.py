@@ -102,7 +102,7 @@ def test_a_port_in_use_is_one_clear_error():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(UsageError, match=f"Port {port} is in use by another program"):
+        with pytest.raises(UsageError, match=f"--port {port}: .*in use"):
             PageServer(_Counter().app(), port=port)
 
 
