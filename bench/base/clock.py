@@ -45,48 +45,11 @@ class Interrupted(_Asked):
     """An interlock, named by ``reason``, has asked the work to pause; the work continues afterwards."""
 
 
-class _SignalSafeEvent:
-    """A ``threading.Event`` that a signal handler may set during any of its other calls.
-
-    An Event has a lock, at which a handler would deadlock; ``SimpleQueue.put`` is reentrant (Python's ``queue``).
-    """
-
-    def __init__(self) -> None:
-        self._is_set = False
-        self._queue: queue.SimpleQueue[None] = queue.SimpleQueue()
-
-    def is_set(self) -> bool:
-        return self._is_set
-
-    def set(self) -> None:
-        self._is_set = True
-        self._queue.put(None)
-
-    def clear(self) -> None:
-        self._is_set = False
-        with suppress(queue.Empty):
-            while True:
-                self._queue.get_nowait()
-
-    def wait(self, seconds: float) -> bool:
-        """Wait until the event is set, at most for so many seconds. Return whether it is set."""
-        deadline_s = time.monotonic() + seconds
-        while not self._is_set:  # after a ``clear`` an old entry of the queue must not end the wait
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0:
-                break
-            with suppress(queue.Empty):
-                self._queue.get(timeout=left_s)
-        if self._is_set:
-            self._queue.put(None)  # for another thread that waits
-        return self._is_set
-
-
 class BenchClock:
     """The system's time, with a request to stop that ends every wait. The thread that makes it is the work's thread."""
 
     def __init__(self) -> None:
-        self._requested = _SignalSafeEvent()
+        self._woken: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._stop: str | None = None
         self._failure: Exception | None = None
         self._interruption: str | None = None
@@ -120,7 +83,7 @@ class BenchClock:
         try:
             if self._shields:
                 time.sleep(max(0.0, seconds))
-            elif self._requested.wait(max(0.0, seconds)):
+            elif self._wait(seconds):
                 self._raise_request()
         finally:
             self._asked_s = time.monotonic()
@@ -129,8 +92,26 @@ class BenchClock:
     def check(self) -> None:
         """Obey a request to stop or to pause between two pieces of work, unless the clock is shielded."""
         self._asked_s = time.monotonic()
-        if self._requested.is_set() and not self._shields:
+        if self._is_asked and not self._shields:
             self._raise_request()
+
+    @property
+    def _is_asked(self) -> bool:
+        return self._stop is not None or self._interruption is not None
+
+    def _wait(self, seconds: float) -> bool:
+        """Wait until somebody asks to end the wait, at most so long, s; return whether somebody has.
+
+        A signal handler may ask at any line here: it would deadlock at the lock of an Event, and ``SimpleQueue.put`` is
+        reentrant.
+        """
+        deadline_s = time.monotonic() + seconds
+        while not self._is_asked and (left_s := deadline_s - time.monotonic()) > 0:
+            with suppress(queue.Empty):
+                self._woken.get(timeout=left_s)
+        if self._is_asked:
+            self._woken.put(None)  # for another thread that waits
+        return self._is_asked
 
     def in_parallel(self, work: Callable[[], Result]) -> Callable[[], Result]:
         """Begin work that goes on while this clock's worker does other things; return what waits for its result."""
@@ -148,7 +129,7 @@ class BenchClock:
         """Ask the run to stop at its next wait; the first request counts. Safe in a signal handler or thread."""
         if self._stop is None:
             self._stop = reason
-            self._requested.set()
+            self._woken.put(None)
 
     def request_failure(self, error: Exception) -> None:
         """Ask the run to raise this error at its next wait, because a thread beside the work has failed."""
@@ -160,14 +141,11 @@ class BenchClock:
         """Ask the work to pause at its next wait. A request to stop takes precedence."""
         if self._interruption is None:
             self._interruption = reason
-            self._requested.set()
+            self._woken.put(None)
 
     def clear_interruption(self) -> None:
         """Withdraw the request to pause. A request to stop remains."""
         self._interruption = None
-        self._requested.clear()
-        if self._stop is not None:  # requested before, or between the lines above
-            self._requested.set()
 
     def _raise_request(self) -> None:
         if self._failure is not None:

@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
+_DIES_S = 0.5  # A process that has closed its line is gone by then
+
 
 class WorkerProcess:
     """The process of a module that calls `answer_questions`. For any thread; one question at a time."""
@@ -24,6 +26,8 @@ class WorkerProcess:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self.closed = False
+        self.exit_code: int | None = None
+        """Status with which the process ended last; None while none has."""
 
     def start(self) -> subprocess.Popen[bytes]:
         """Start the process, which `ask` does too where there is none."""
@@ -43,11 +47,12 @@ class WorkerProcess:
         with self._lock:
             if self.closed:
                 raise EOFError
+            asked = pickle.dumps(question, pickle.HIGHEST_PROTOCOL)
             process = self._process or self.start()
             assert process.stdin is not None
             assert process.stdout is not None
             try:
-                pickle.dump(question, process.stdin, pickle.HIGHEST_PROTOCOL)
+                process.stdin.write(asked)
                 process.stdin.flush()
                 return pickle.load(process.stdout)  # noqa: S301 - both ends are this program
             except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
@@ -66,8 +71,10 @@ class WorkerProcess:
         process, self._process = self._process, None
         if process is None:
             return
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_DIES_S)  # else the status would be that of the kill
         process.kill()
-        process.wait()
+        self.exit_code = process.wait()
         for pipe in (process.stdin, process.stdout):
             if pipe is not None:
                 with suppress(OSError):  # what was not sent yet is lost with the process

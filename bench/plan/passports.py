@@ -98,8 +98,9 @@ class PassportInUse:
     def temperature_c(self) -> float | None:
         """Temperature for which the passport holds, degrees Celsius, if the passport states it."""
         stated_c = self.passport.conditions.get("temperature_c")
-        is_number = isinstance(stated_c, int | float) and not isinstance(stated_c, bool)
-        return float(stated_c) if is_number else None
+        if isinstance(stated_c, int | float) and not isinstance(stated_c, bool):
+            return float(stated_c)
+        return None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what results.json states: origin, identity, validity, values, standard uncertainties, hash."""

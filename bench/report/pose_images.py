@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from html import escape
+from typing import Any
 
 import cv2
 import numpy as np
@@ -96,7 +97,7 @@ def _data_uri(image: NDArray[np.uint8], limit_bytes: int) -> str:
     """Encode an image without loss if the result is small enough, otherwise with increasing loss."""
     data, kind = b"", ""
     for scale, quality in _ENCODINGS:
-        shown = image
+        shown: NDArray[Any] = image
         if scale != 1.0:
             shown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         kind = "png" if quality is None else "jpeg"

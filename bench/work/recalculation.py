@@ -221,11 +221,11 @@ def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, 
     waiting: deque[_Next] = deque()
     try:
         for number, place in enumerate(places):
-            listed_by, ahead = partial(list_recordings, place, task), 0
+            listed_by: Callable[[], Listed] = partial(list_recordings, place, task)
             if place.is_remote:
-                listed_by, ahead = pool.submit(listed_by).result, _AHEAD
+                listed_by = pool.submit(listed_by).result
             waiting.append((number, place, listed_by))
-            if len(waiting) > ahead:
+            if len(waiting) > (_AHEAD if place.is_remote else 0):
                 yield waiting.popleft()
         yield from waiting
     finally:

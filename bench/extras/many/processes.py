@@ -1,29 +1,28 @@
-"""Workers on this computer: a pool of one process for each, so that it is known with which work a process died."""
+"""Workers on this computer: each is a process that does one piece of work after the other."""
 
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import os
-import signal
 import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from functools import partial
 from typing import Any
 
+from bench.base.background import in_background
 from bench.base.errors import UsageError
 from bench.base.failure import Failure
+from bench.base.worker_process import WorkerProcess, answer_questions
 from bench.work.workers import Finished, Serial, Work, Workers, WorkersLost, do
 
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-_END_S = 2.0
+_MODULE = "bench.extras.many.processes"
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_LOOK_S = 1.0  # A worker whose command was killed works on for so long
 _MOST_PROCESSES = 1024
 _LEAST_BYTES = 4 << 30
 """Memory that each process on this computer may use at least: a share of this computer's may be less."""
@@ -42,31 +41,6 @@ _LOGGERS = (
 _REMEDY = "Start it, check the address, then repeat the command: what was done is kept."
 
 
-@dataclass(frozen=True)
-class _Worker:
-    """A pool of one process, and that process."""
-
-    pool: ProcessPoolExecutor
-    process: BaseProcess
-
-    def end(self) -> None:
-        """End the process at once."""
-        self.process.terminate()
-        self.process.join(_END_S)
-        if self.process.is_alive():
-            self.process.kill()
-        self.pool.shutdown(cancel_futures=True)
-
-
-def _started(memory_bytes: int | None) -> _Worker:
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare, (memory_bytes,))
-    before = multiprocessing.active_children()
-    with _one_thread():
-        pool.submit(os.getpid)  # the first work starts the process
-    (process,) = (child for child in multiprocessing.active_children() if child not in before)
-    return _Worker(pool, process)
-
-
 class Processes(Workers):
     """``count`` workers here (None: one a processor); ``memory_bytes`` limits each, on Linux only."""
 
@@ -74,19 +48,12 @@ class Processes(Workers):
 
     def __init__(self, count: int | None = None, memory_bytes: int | None = None) -> None:
         super().__init__()
+        self.size = max(1, count or processors())
         self._memory_bytes = memory_bytes
         self._waiting: deque[Work] = deque()
-        self._idle: list[_Worker] = []
-        self._working: dict[Future[Finished], _Worker] = {}
+        self._idle = [WorkerProcess(_MODULE, _ONE_THREAD) for _ in range(self.size)]  # they start when asked
+        self._working: dict[Future[Finished], WorkerProcess] = {}
         self._exit_code: int | None = None
-        self.size = max(1, count or processors())
-        self.replaced = 0
-
-    @property
-    def pids(self) -> list[int]:
-        """Numbers of the processes."""
-        workers = (*self._idle, *self._working.values())
-        return [worker.process.pid for worker in workers if worker.process.pid]
 
     def submit(self, work: Work) -> None:
         """See `Workers.submit`. Work with which a worker died is done first."""
@@ -106,36 +73,22 @@ class Processes(Workers):
         """See `Workers.close`."""
         self._waiting.clear()
         for worker in (*self._idle, *self._working.values()):
-            worker.end()
-        self._idle.clear()
-        self._working.clear()
+            worker.close()
 
     def _hand_out(self) -> None:
-        while self._waiting and (self._idle or len(self._working) < self.size):
-            worker = self._idle.pop() if self._idle else _started(self._memory_bytes)
-            try:
-                future = worker.pool.submit(do, self._waiting[0])
-            except BrokenProcessPool:  # it died while it had nothing to do
-                self._forget(worker)
-                continue
-            self._busy[future] = self._waiting.popleft()
-            self._working[future] = worker
+        while self._waiting and self._idle:
+            worker, work = self._idle.pop(), self._waiting.popleft()
+            future = in_background(partial(worker.ask, (self._memory_bytes, work)), "worker")
+            self._busy[future], self._working[future] = work, worker
 
     def _end(self, work: Work, future: Future[Finished]) -> Finished | None:
         worker = self._working.pop(future)
-        if isinstance(future.exception(), BrokenProcessPool):
-            self._forget(worker)
-        else:
-            self._idle.append(worker)
+        self._exit_code = worker.exit_code
+        self._idle.append(worker)  # one that died starts again with the next work
         return super()._end(work, future)
 
-    def _forget(self, worker: _Worker) -> None:
-        worker.end()
-        self._exit_code = worker.process.exitcode
-        self.replaced += 1
-
     def _why_it_died(self, error: BaseException) -> Failure | None:
-        if not isinstance(error, BrokenProcessPool):
+        if not isinstance(error, EOFError):
             return None
         what = f"{self.most_deaths} workers died with this work, the last with exit code {self._exit_code}."
         remedy = (
@@ -144,20 +97,25 @@ class Processes(Workers):
         return Failure("WorkerDied", what, "", remedy)
 
 
-def _prepare(memory_bytes: int | None) -> None:
-    """Prepare a process for its work."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the command, which ends its workers
-    threading.Thread(target=_end_with_the_command, daemon=True).start()
-    limit_memory(memory_bytes)
+def main() -> None:
+    """Do the work of the command that has started this process."""
     import cv2
 
+    threading.Thread(target=_end_with_the_command, daemon=True).start()
     cv2.setNumThreads(1)
+    answer_questions(_done)
+
+
+def _done(question: tuple[int | None, Work]) -> Finished:
+    memory_bytes, work = question
+    limit_memory(memory_bytes)
+    return do(work)
 
 
 def _end_with_the_command() -> None:
-    command = multiprocessing.parent_process()
-    assert command is not None
-    command.join()
+    command = os.getppid()
+    while os.getppid() == command:
+        time.sleep(_LOOK_S)
     os._exit(1)
 
 
@@ -173,21 +131,6 @@ def limit_memory(memory_bytes: int | None) -> None:
     least = memory_bytes if hard == resource.RLIM_INFINITY else min(memory_bytes, hard)
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (least, hard))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let processes that start in the block use one thread each, as the command itself does."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def processors() -> int:
@@ -314,3 +257,7 @@ class DaskWorkers(Workers):
 
     def _lost(self) -> WorkersLost:
         return WorkersLost("The Dask scheduler does not answer any more.", where=self.address, remedy=_REMEDY)
+
+
+if __name__ == "__main__":
+    main()

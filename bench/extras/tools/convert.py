@@ -111,9 +111,9 @@ def _convert_one(source: Path, output: Path, kind: str, choices: ReadingChoices)
             written = event_conversion.convert(
                 source,
                 output,
-                kind,
+                kind,  # type: ignore[arg-type]
                 choices,
-                progress=line.show_share,  # type: ignore[arg-type]
+                progress=line.show_share,
             )
         finally:
             line.clear()

@@ -6,11 +6,15 @@ import sys
 import pytest
 
 
+@pytest.fixture(autouse=True)
+def importable(monkeypatch):
+    """Let workers import what the tests import."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folder for folder in sys.path if folder))
+
+
 @pytest.fixture
-def cluster(monkeypatch, tmp_path):
+def cluster(tmp_path):
     distributed = pytest.importorskip("distributed")
-    path = os.pathsep.join(folder for folder in sys.path if folder)
-    monkeypatch.setenv("PYTHONPATH", path)
     made = distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=1,
