@@ -133,7 +133,7 @@ def test_results_that_were_changed_give_nothing_but_a_warning(tmp_path):
 
 def test_a_file_that_cannot_be_written_is_refused_with_what_to_do(tmp_path, monkeypatch):
     for name, what in (
-        ("runs.xlsx", "not as .xlsx"),
+        ("runs.xlsx", "as .xlsx"),
         ("runs", "without an ending"),
     ):
         with pytest.raises(UsageError, match=what):
