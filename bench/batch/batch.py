@@ -129,11 +129,10 @@ class Batch:
         if not copy.exists():
             write_atomic(copy, self._queue.text)
         elif copy.read_bytes() != self._queue.text:
-            raise RunFolderError(
-                "The folder belongs to another queue.",
-                where=str(self.folder),
-                remedy="Choose another --output.",
-            )
+            raise self._cannot_continue("The folder belongs to another queue.")
+
+    def _cannot_continue(self, what: str) -> RunFolderError:
+        return RunFolderError(what, where=str(self.folder), remedy="Choose another --output.")
 
     def _run_locked(self) -> None:
         self._record = replay_batch(self._queue.value, self._journal.entries)
@@ -145,10 +144,8 @@ class Batch:
                 begun["file"] = str((self._queue.folder / Path(self._queue.file).name).absolute())
             self._journal_event(BatchBegun, **begun)
         elif self._record.rehearsal != self._rehearsal:
-            raise RunFolderError(
-                "A rehearsed batch and a real one cannot continue in the same folder.",
-                where=str(self.folder),
-                remedy="Choose another --output.",
+            raise self._cannot_continue(
+                "A rehearsed batch and a real one cannot continue in the same folder."
             )
         else:
             self._say(resume_text(self._record))

@@ -41,7 +41,7 @@ from bench.record.summaries import (
     TestedSlope,
     drifts,
 )
-from bench.wording.numbers import number, with_uncertainty
+from bench.wording.numbers import number, plus_minus, with_uncertainty
 from bench.wording.parameters import meaning_of, unit_text
 
 _DAYS_A_YEAR = 365.25
@@ -62,9 +62,8 @@ def slope_text(value: float, expanded: float, unit: str, per: str) -> str:
     '+0.50 ± 0.10 px per day'
     """
     factor = {"hour": 1.0 / 24.0, "year": _DAYS_A_YEAR}.get(per, 1.0)
-    shown, uncertainty = with_uncertainty(value * factor, expanded * factor)
     sign = "+" if value > 0 else ""
-    return f"{sign}{shown} ± {uncertainty}{' ' if unit else ''}{unit} per {per}"
+    return f"{sign}{plus_minus(value * factor, expanded * factor, unit)} per {per}"
 
 
 def time_unit(span_days: float) -> str:

@@ -19,6 +19,7 @@ from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script, find_simulation_faults
 from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
 from bench.plan.url_secrets import find_url_secrets
+from bench.record.run_folder import CHECKED_COPY
 from bench.stations.messages_section import find_webhooks
 from bench.stations.placeholders import find_placeholders
 from bench.stations.sections import FrameCameraSection
@@ -342,9 +343,8 @@ def make_plan(
     today = today or datetime.now(UTC).date()
     solving = tuple(step.solve if isinstance(step, ChooseStep) else step for step in script)
     passport = choose_passport(sequence, station, solving, copy=passport_copy, today=today)
-    checked = choose_stated_camera(
-        sequence, script, station.value.expected, copy=_checked_beside(passport_copy)
-    )
+    checked_copy = passport_copy.with_name(CHECKED_COPY) if passport_copy is not None else None
+    checked = choose_stated_camera(sequence, script, station.value.expected, copy=checked_copy)
     findings = check_script(sequence, script, station.value, passport.steps_for_one_pose, whole=not faults)
     faults += [*findings.faults, *passport.faults, *checked.faults, *find_placeholders(station.tree)]
     if passport_copy is None:  # a run that has begun holds its files already
@@ -364,15 +364,6 @@ def make_plan(
         passport=passport,
         checked=checked,
     )
-
-
-def _checked_beside(passport_copy: Path | None) -> Path | None:
-    """Return where the folder of a run that has begun keeps the calibration to check; None for a new run."""
-    if passport_copy is None:
-        return None
-    from bench.record.run_folder import CHECKED_COPY  # a new plan needs no journal
-
-    return passport_copy.with_name(CHECKED_COPY)
 
 
 def _timed(script: tuple[Step, ...], estimate: Estimate) -> tuple[tuple[PlannedStep, ...], float]:

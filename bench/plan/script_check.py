@@ -76,19 +76,13 @@ def check_script(
         *_solve_faults(document, steps),
         *_limit_faults(document, steps, station),
     ]
-    return Findings(
-        tuple(sorted(set(faults))),
-        tuple(
-            sorted(
-                {
-                    *_remarks(document, steps),
-                    *_unit_remarks(document, steps),
-                    *_steady_remarks(document, steps, station),
-                    *_beam_remarks(document, steps, station),
-                }
-            )
-        ),
-    )
+    remarks = {
+        *_remarks(document, steps),
+        *_unit_remarks(document, steps),
+        *_steady_remarks(document, steps, station),
+        *_beam_remarks(document, steps, station),
+    }
+    return Findings(tuple(sorted(set(faults))), tuple(sorted(remarks)))
 
 
 def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
@@ -104,17 +98,13 @@ def angle_faults(sequence: Tree, station: Station) -> list[Fault]:
             continue
         spot = sequence.values[path]
         if axis not in axes:
-            faults.add_fault(
-                spot, path, f"the stage of the station has no {axis} axis; it has {', '.join(axes)}."
-            )
-        elif (angle := _number(text)) is not None and not axes[axis].limits_deg[0] <= angle <= axes[
-            axis
-        ].limits_deg[1]:
-            lowest, highest = axes[axis].limits_deg
-            message = (
-                f"{axis} {angle:g} deg is outside the limits of the station, {lowest:g} to {highest:g} deg."
-            )
+            message = f"the stage of the station has no {axis} axis; it has {', '.join(axes)}."
             faults.add_fault(spot, path, message)
+            continue
+        (lowest, highest), angle = axes[axis].limits_deg, _number(text)
+        if angle is not None and not lowest <= angle <= highest:
+            limits = f"the limits of the station, {lowest:g} to {highest:g} deg"
+            faults.add_fault(spot, path, f"{axis} {angle:g} deg is outside {limits}.")
     return faults.faults
 
 
@@ -277,10 +267,9 @@ def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[F
                 )
         elif isinstance(step, SolveStep):
             unsolved = None
-            if unused := CalibrationOptions(
-                step.model or "auto", loss=step.loss, huber_px=step.huber_px
-            ).unused:
-                yield document.fault(setting_path(document, step.path, "loss", "solve"), unused)
+            options = CalibrationOptions(step.model or "auto", loss=step.loss, huber_px=step.huber_px)
+            if options.unused:
+                yield document.fault(setting_path(document, step.path, "loss", "solve"), options.unused)
         if isinstance(step, MoveStep | SettleStep | WaitStep | RecordStep):
             last = step
     if unsolved is not None:

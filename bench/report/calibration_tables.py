@@ -11,7 +11,7 @@ from typing import Any
 from bench.record.coverage import coverage_factor
 from bench.record.results import CalibrationData, GimbalComparison, Results
 from bench.report.run_tables import parallax_rows
-from bench.wording.numbers import NOTHING, angle, fixed, number, with_uncertainty
+from bench.wording.numbers import NOTHING, angle, fixed, number, plus_minus, with_uncertainty
 from bench.wording.target_words import STARS, TargetWords
 from calib.model.result_parts import BudgetRow, Witness
 
@@ -146,8 +146,7 @@ def _row(witness: Witness) -> dict[str, str]:
 def _value(value: float | None, sigma: float | None, unit: str) -> str:
     if value is None or sigma is None or not math.isfinite(sigma):
         return NOTHING
-    shown, uncertainty = with_uncertainty(value, sigma)
-    return f"{shown} \N{PLUS-MINUS SIGN} {uncertainty} {'' if unit == '1' else unit}".strip()
+    return plus_minus(value, sigma, "" if unit == "1" else unit)
 
 
 def values(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
@@ -225,7 +224,6 @@ def _gimbal(gimbal: GimbalComparison) -> list[tuple[str, str]]:
     rows = [("Hand-eye check: rotations against the gimbal's readings", text)]
     rows.append((f"Gimbal: {_VERDICTS.get(gimbal.verdict, gimbal.verdict)}", " ".join(gimbal.says)))
     for axis, scale in gimbal.scale.items():
-        value, expanded = with_uncertainty(scale, 2 * gimbal.scale_sigma[axis])
         name = f"Angle seen over angle read, {axis.removesuffix('_deg')}"
-        rows.append((name, f"{value} ± {expanded} (k = 2)"))
+        rows.append((name, f"{plus_minus(scale, 2 * gimbal.scale_sigma[axis])} (k = 2)"))
     return rows

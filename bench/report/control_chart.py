@@ -22,7 +22,7 @@ from bench.report.html import render_page
 from bench.report.svg_plot import INK
 from bench.report.svg_scale import tick_label, ticks
 from bench.report.wide_chart import BLUE, MANY, RED, Chart
-from bench.wording.numbers import with_uncertainty
+from bench.wording.numbers import plus_minus, with_uncertainty
 
 _TICKS = 4
 MOST_DRAWN = 60
@@ -139,11 +139,10 @@ def _ends(chart: ChartData) -> tuple[list[float], list[float]]:
 
 def _texts(chart: ChartData, group: ChartGroupData) -> list[str]:
     """Return what is shown for each run under the pointer."""
-    unit = f" {chart['unit']}" if chart["unit"] else ""
     texts = []
     for run, value, expanded in zip(group["runs"], chart["values"], chart["expanded"], strict=True):
-        shown = " ± ".join(with_uncertainty(value, expanded))
-        texts.append(f"{run['run']}, {run['begun_utc'][:16].replace('T', ' ')} UTC: {shown}{unit}")
+        shown = plus_minus(value, expanded, chart["unit"])
+        texts.append(f"{run['run']}, {run['begun_utc'][:16].replace('T', ' ')} UTC: {shown}")
     return texts
 
 

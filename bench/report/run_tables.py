@@ -22,7 +22,7 @@ from bench.wording.camera_check import check_sentences
 from bench.wording.causes import cause_sentences
 from bench.wording.earlier_runs import earlier_runs
 from bench.wording.goals import goals_missed
-from bench.wording.numbers import NOTHING, exact, moment, number, value_text, with_uncertainty
+from bench.wording.numbers import NOTHING, exact, moment, number, plus_minus, value_text, with_uncertainty
 from bench.wording.target_words import words_of
 from calib.model.result_parts import GimbalEstimate
 
@@ -138,9 +138,9 @@ def parallax_rows(parallax: ParallaxData | None) -> Rows:
         return [("Parallax test: no result", str(parallax["why_not"]))]
     says = [str(sentence).replace(" +- ", " \N{PLUS-MINUS SIGN} ") for sentence in parallax["says"]]
     off = parallax["pupil_off_pivot_mm"]
-    value, expanded = with_uncertainty(off["value"], 2 * off["sigma"])
+    shown = plus_minus(off["value"], 2 * off["sigma"], "mm")
     rows = [
-        ("Entrance pupil in front of the pivot", f"{value} \N{PLUS-MINUS SIGN} {expanded} mm (k = 2)"),
+        ("Entrance pupil in front of the pivot", f"{shown} (k = 2)"),
         ("Parallax: how the beam moves when the camera turns", " ".join(says)),
     ]
     if without := parallax["without_rim"]:

@@ -12,7 +12,16 @@ from bench.record.results import CalibrationData, CameraData, ProjectionChange, 
 from bench.report import calibration_tables, pose_tables, run_tables
 from bench.wording.causes import cause_sentences
 from bench.wording.conformity import conformity_headline, conformity_sentences
-from bench.wording.numbers import NOTHING, angle_text, exact, fixed, moment, number, with_uncertainty
+from bench.wording.numbers import (
+    NOTHING,
+    angle_text,
+    exact,
+    fixed,
+    moment,
+    number,
+    plus_minus,
+    with_uncertainty,
+)
 from bench.wording.target_words import words_of
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0  # Seconds
@@ -175,8 +184,7 @@ def _focal_lengths(calibration: CalibrationData) -> str:
     for name in ("fx", "fy"):
         if name in sigma:
             factors.append(coverage_factor(calibration, name))
-            value, expanded = with_uncertainty(calibration["camera"][name], factors[-1] * sigma[name])
-            parts.append(f"{name} {value} ± {expanded} px")
+            parts.append(f"{name} {plus_minus(calibration['camera'][name], factors[-1] * sigma[name], 'px')}")
     return f"{', '.join(parts)} ({factors_text(factors)}, about 95 %)." if parts else ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bench.wording.numbers import exact, with_uncertainty
+from bench.wording.numbers import exact, plus_minus
 from bench.wording.parameters import unit_text
 
 if TYPE_CHECKING:
@@ -48,5 +48,5 @@ def _statement_text(statement: LimitStatement) -> str:
     asked = f"{limits}{' ' if unit else ''}{unit}{source}"
     if statement.value is None or statement.expanded is None:
         return f"{name}: this calibration did not estimate it (limit: {asked})."
-    value, expanded = with_uncertainty(statement.value, statement.expanded)
-    return f"{name} {value} ± {expanded}{' ' if unit else ''}{unit} ({asked}): {_KEPT[statement.verdict]}."
+    shown = plus_minus(statement.value, statement.expanded, unit)
+    return f"{name} {shown} ({asked}): {_KEPT[statement.verdict]}."

@@ -62,6 +62,15 @@ def with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     return _plain(_to_digit(Decimal(repr(float(value))), digit)), _plain(rounded)
 
 
+def plus_minus(value: float, expanded: float, unit: str = "") -> str:
+    """Print a value, its expanded uncertainty by `with_uncertainty`, and their unit if they have one.
+
+    >>> plus_minus(3345.0637, 1.2345, "px"), plus_minus(0.25, 0.01)
+    ('3345.1 ± 1.3 px', '0.250 ± 0.010')
+    """
+    return f"{' ± '.join(with_uncertainty(value, expanded))} {unit}".rstrip()
+
+
 def number(value: Any, digits: int = 4) -> str:
     """Print a number with significant digits, without exponent; integers in full, None and infinities as a dash.
 

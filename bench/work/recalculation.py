@@ -30,7 +30,7 @@ from bench.work.tasks import (
     find_view,
     list_recordings,
 )
-from bench.work.workers import Finished, Work, Workers, WorkLeft, rounds
+from bench.work.workers import Finished, Work, Workers, WorkLeft, failure_of, rounds
 
 _AHEAD = 8
 """Runs behind URLs that are listed at the same time: most of that time is spent waiting for answers."""
@@ -119,7 +119,7 @@ class Recalculation:
         try:
             listed = listed_by()
         except (*FORESEEN, OSError) as error:
-            self._fail(number, place, _failure(error), "")
+            self._fail(number, place, failure_of(error), "")
             return
         row = self._output.done(place.name, listed.key) if self._output is not None else None
         if row is not None:
@@ -230,10 +230,3 @@ def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, 
         yield from waiting
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _failure(error: BaseException) -> Failure:
-    if isinstance(error, OSError):
-        what = f"{error.strerror or error}."
-        return Failure(type(error).__name__, what, str(error.filename or ""), "Check the path.")
-    return Failure.of(error)

@@ -95,23 +95,24 @@ class Workers:
         """Return how work fails with which too many workers died; None if none died with it."""
 
 
+def failure_of(error: BaseException) -> Failure:
+    """Describe an error of a piece of work; that of a file names its path."""
+    if not isinstance(error, OSError):
+        return Failure.of(error)
+    what, remedy = f"{error.strerror or error}.", "Check the path, and whether the workers can reach it."
+    return Failure(type(error).__name__, what, str(error.filename or ""), remedy)
+
+
 def do(work: Work) -> Finished:
     """Do a piece of work; every error becomes part of the result."""
     try:
         return Finished(work.key, work.function(*work.arguments))
-    except FORESEEN as error:
-        return Finished(work.key, failure=Failure.of(error))
+    except (*FORESEEN, OSError) as error:
+        return Finished(work.key, failure=failure_of(error))
     except MemoryError:
         what = "The work needs more memory than a worker may use."
-        return Finished(
-            work.key, failure=Failure("MemoryError", what, "", "Give each more: use fewer, with --workers.")
-        )
-    except OSError as error:
-        what = f"{error.strerror or error}."
-        remedy = "Check the path, and whether the workers can reach it."
-        return Finished(
-            work.key, failure=Failure(type(error).__name__, what, str(error.filename or ""), remedy)
-        )
+        failure = Failure("MemoryError", what, "", "Give each more: use fewer, with --workers.")
+        return Finished(work.key, failure=failure)
     except Exception as error:  # noqa: BLE001 - one run that shows a defect must not stop a thousand others
         return Finished(work.key, failure=Failure.of(error), defect=traceback.format_exc())
 

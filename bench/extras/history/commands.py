@@ -30,7 +30,7 @@ from bench.record.storage import write_atomic
 from bench.record.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
 from bench.solve.agreement import Agreement, compare_runs
-from bench.wording.numbers import with_uncertainty
+from bench.wording.numbers import plus_minus, with_uncertainty
 
 _MOST_GROUPS = 12
 """Most groups of one kind that the terminal describes; it counts the others."""
@@ -210,8 +210,8 @@ def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) 
     head = f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model."
     yield f"{head} ± is the expanded uncertainty U (about 95 %), with the k of the report."
     for parameter in compared:
-        mean, expanded = with_uncertainty(parameter.mean, parameter.expanded)
-        yield f"{parameter.name}: mean {mean} ± {expanded} (k = {parameter.k:.2f}), Birge ratio {parameter.birge:.2f}"
+        mean = plus_minus(parameter.mean, parameter.expanded)
+        yield f"{parameter.name}: mean {mean} (k = {parameter.k:.2f}), Birge ratio {parameter.birge:.2f}"
         if parameter.repeats:
             yield f"  {REPEATS_TEXT}"
         for run, deviation in zip(runs, parameter.deviations, strict=True):

@@ -13,7 +13,7 @@ from bench.commands.calibrations import BOARD, CAMERA, LENS, collimator_options,
 from bench.commands.options import ExistingPath, epilog
 from bench.commands.output import JSON, left_out_lines, show, wants_json
 from bench.commands.workers import views_line
-from bench.wording.numbers import with_uncertainty
+from bench.wording.numbers import plus_minus
 
 if TYPE_CHECKING:
     from bench.camera_files.camera_values import LensFamily
@@ -122,9 +122,8 @@ def _lines(
             f"{region.name:<13} {region.offset_px:6.2f} ± {region.expanded_px:.2f}" for region in row
         )
     for name in ("fx", "fy", "cx", "cy"):
-        value, expanded = with_uncertainty(calibration.values[name], calibration.U[name])
-        was, k = getattr(stated.camera, name), calibration.k[name]
-        yield f"  {name} was {was:.2f}, is {value} ± {expanded} px (k = {k:.2f})"
+        now = plus_minus(calibration.values[name], calibration.U[name], "px")
+        yield f"  {name} was {getattr(stated.camera, name):.2f}, is {now} (k = {calibration.k[name]:.2f})"
     if stated.covariance is None:
         yield f"U is that of the new views alone: {stated.kind} states no uncertainty."
     yield from (f"Note: {note}" for note in calibration.notes)

@@ -16,7 +16,7 @@ from bench.commands.calibrations import BOARD, LENS, rig_options, stated_camera
 from bench.commands.options import ExistingPath, OutputFolder, command
 from bench.commands.output import JSON, left_out_lines, show, wants_json
 from bench.commands.workers import views_line
-from bench.wording.numbers import with_uncertainty
+from bench.wording.numbers import plus_minus
 
 if TYPE_CHECKING:
     from bench.camera_files.camera_values import LensFamily
@@ -146,12 +146,11 @@ def _lines(solved: RigFound) -> Iterator[str]:
         )
     yield f"Second camera <- first camera, by {by} that both cameras saw:"
     for axis, angle, sigma in zip("xyz", rig.vector_deg, rig.sigma_arcsec, strict=True):
-        text, expanded = with_uncertainty(3600.0 * float(angle), 2.0 * float(sigma))
-        yield f"  rotation vector {axis} {angle:>12.6f} deg = {text} ± {expanded} arcsec (k = 2)"
+        shown = plus_minus(3600.0 * float(angle), 2.0 * float(sigma), "arcsec")
+        yield f"  rotation vector {axis} {angle:>12.6f} deg = {shown} (k = 2)"
     if rig.translation_mm is not None:
         for axis, length, sigma in zip("xyz", rig.translation_mm, rig.sigma_mm, strict=True):
-            text, expanded = with_uncertainty(float(length), 2.0 * float(sigma))
-            yield f"  translation {axis} {text} ± {expanded} mm (k = 2)"
+            yield f"  translation {axis} {plus_minus(float(length), 2.0 * float(sigma), 'mm')} (k = 2)"
     for row in rig.rotation:
         yield "  [" + " ".join(f"{number:>13.9f}" for number in row) + "]"
     yield from _residual_lines(rig)
@@ -164,12 +163,12 @@ def _clock_lines(clocks: Sequence[ClockOffset]) -> Iterator[str]:
     if not clocks:
         return
     rate, sigma = common_rate(clocks)
-    gain, expanded = with_uncertainty(rate, 2.0 * sigma)
-    yield f"Clock of the second camera: it gains {gain} ± {expanded} parts in a million (k = 2)."
+    gain = plus_minus(rate, 2.0 * sigma, "parts in a million")
+    yield f"Clock of the second camera: it gains {gain} (k = 2)."
     for compared in clocks:
-        offset, expanded = with_uncertainty(compared.offset_us, 2.0 * compared.sigma_us)
+        offset = plus_minus(compared.offset_us, 2.0 * compared.sigma_us, "us")
         yield (
-            f"  {compared.name}: second - first = {offset} ± {expanded} us (k = 2) at {compared.at_us / 1e6:.3f} s of"
+            f"  {compared.name}: second - first = {offset} (k = 2) at {compared.at_us / 1e6:.3f} s of"
             f" the first clock, by {compared.edges} edges"
         )
     periods = [clock.period_us for clock in clocks if clock.period_us is not None]
@@ -184,11 +183,9 @@ def _residual_lines(rig: Rig) -> Iterator[str]:
     if rig.residuals_arcsec is not None:
         for view, residual in zip(rig.views, rig.residuals_arcsec, strict=True):
             yield f"  {view}: residual {' '.join(f'{axis:.1f}' for axis in residual)} arcsec"
-        verdict = (
-            "the views agree with a rigid rig"
-            if rig.rigid
-            else "THE RIG IS NOT RIGID, or the cameras did not see the same poses"
-        )
+        verdict = "the views agree with a rigid rig"
+        if not rig.rigid:
+            verdict = "THE RIG IS NOT RIGID, or the cameras did not see the same poses"
         yield f"Chi-square {rig.chi_square:.1f} for {rig.degrees_of_freedom} degrees of freedom: {verdict}."
     if rig.boards_rms_px is not None:
         for name, (first_px, other) in zip(rig.boards, rig.boards_rms_px, strict=True):

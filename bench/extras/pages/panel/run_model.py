@@ -5,8 +5,10 @@ It writes nothing.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 
 from bench.extras.pages.panel.journal_tail import JournalTail
@@ -85,13 +87,7 @@ class RunModel:
 
     def changed_rows(self, after: int) -> list[PoseRow]:
         """Return the poses that changed after a line, in order; 0 for all."""
-        if after <= 0:
-            return [self.rows[number] for number in sorted(self.rows)]
-        numbers = []
-        for number, line in reversed(self._changed.items()):
-            if line <= after:
-                break
-            numbers.append(number)
+        numbers = (number for number, line in self._changed.items() if after <= 0 or line > after)
         return [self.rows[number] for number in sorted(numbers)]
 
     def newest_rows(self) -> Iterator[PoseRow]:
@@ -101,16 +97,12 @@ class RunModel:
 
     def log_after(self, after: int, most: int) -> list[LogLine]:
         """Return the newest lines of the log after a line of the journal; newest last."""
-        begin = len(self.log)
-        while begin > 0 and len(self.log) - begin < most and self.log[begin - 1]["line"] > after:
-            begin -= 1
-        return self.log[begin:]
+        begin = bisect_right(self.log, after, key=itemgetter("line"))
+        return self.log[max(begin, len(self.log) - most) :]
 
     def log_before(self, before: int, most: int) -> list[LogLine]:
         """Return the log before a line, as `log_after`."""
-        end = len(self.log)
-        while end > 0 and self.log[end - 1]["line"] >= before:
-            end -= 1
+        end = bisect_left(self.log, before, key=itemgetter("line"))
         return self.log[max(0, end - most) : end]
 
     def _apply(self, entry: Entry) -> None:

@@ -60,9 +60,7 @@ async def read_object(request: Request) -> dict[str, Any]:
 def whole_number(text: str) -> int:
     """Return a number of a request (a line, a pose, an attempt) of at most 15 digits."""
     if not _WHOLE_NUMBER.fullmatch(text):
-        raise UsageError(
-            "The request names no line, pose or attempt by its number.", remedy="Load the page again."
-        )
+        raise UsageError("The request names nothing by its number.", remedy="Load the page again.")
     return int(text)
 
 
