@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
+from calib.joint.evidence import at_best
 from calib.joint.marginal import Marginal
 from calib.joint.solve import Optimum
 
@@ -53,8 +54,11 @@ class AddedColumns:
         return np.asarray(2.0 * sizes @ self.gradient - ((sizes @ self.information) * sizes).sum(axis=1))
 
 
-def displaced(optimum: Optimum, basis: Array) -> Marginal:
-    """Return the equations of an optimum with (m, B) displacements of the views' bases, all linear."""
+def displaced(optimum: Optimum, basis: Array, eta: Array) -> Optimum:
+    """Return an optimum with (m, B) displacements of the views' bases, all linear.
+
+    Its best amplitudes are searched from (A,) logarithms ``eta``.
+    """
     problem, equations = optimum.marginal.problem, optimum.marginal.equations
     moved = (equations.of_views @ basis[:, :, None])[:, :, 0]
     turned = (equations.coupling @ basis[:, :, None])[:, :, 0]
@@ -66,4 +70,5 @@ def displaced(optimum: Optimum, basis: Array) -> Marginal:
         cost=equations.cost + float((basis * (moved - 2.0 * equations.right_of_views)).sum()),
         off=equations.off - turned[: len(equations.off)],
     )
-    return Marginal(problem, there, optimum.state)
+    solution = Marginal(problem, there, optimum.state).solve(eta)
+    return at_best(replace(optimum, solution=solution))

@@ -35,6 +35,7 @@ from calib.joint.solve import (
     solved,
 )
 from calib.joint.wrong_views import find_shifted_ids
+from calib.model.cause import cause_sentence
 from calib.progress import expect
 from calib.view import View
 
@@ -351,11 +352,15 @@ def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:
     stated_mm = float(task.options.passport.values_by_name["r"])
     layout = alone.marginal.problem.bench.layout
     again = partial(adjust, options=replace(task.options, passport=None), pupil=layout.bench.pupil)
-    shifted = find_shifted_ids(alone, task.views, task.options.max_iterations, again).words
+    shifted = find_shifted_ids(alone, task.views, task.options.max_iterations, again)
     r_mm = float(alone.state.shared[layout.index["r"]])
-    why = shifted or (
-        f"The pitch of the target is probably {stated_mm / r_mm:.3g} times the stated one, or another target "
-        "is in the collimator. A certificate of another collimator looks the same."
+    why = (
+        cause_sentence(shifted)
+        if shifted
+        else (
+            f"The pitch of the target is probably {stated_mm / r_mm:.3g} times the stated one, or another target "
+            "is in the collimator. A certificate of another collimator looks the same."
+        )
     )
     return InputMismatch(
         f"The certificate of the collimator says {stated_mm:.6g} mm; the views alone show about {r_mm:.3g} mm. {why}",

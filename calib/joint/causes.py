@@ -7,6 +7,7 @@ the number of places where it is looked for. A statement that is at fault only w
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,11 +32,17 @@ _OF_GIMBAL = (READINGS, ORTHOGONAL, *(SCALE_OF.format(axis) for axis in ("pan", 
 
 
 def find_causes(
-    result: Calibration, posterior: Posterior, focus: Cause | None, stated: CalibrationOptions
+    result: Calibration, posterior: Posterior, of_views: Sequence[Cause | None], stated: CalibrationOptions
 ) -> tuple[Cause, ...]:
-    """Return the causes that the data show, the most probable first; ``stated`` are the options with the readings."""
-    of_views = (*_other_scale(posterior, stated), *([focus] if focus else []))
-    causes = (*_of_gimbal(result, stated), *of_views)
+    """Return the causes that the data show, the most probable first.
+
+    ``of_views`` are those that the stars show, ``stated`` the options with the readings. Shifted ids make all else look
+    wrong.
+    """
+    found = [cause for cause in of_views if cause is not None]
+    ids = [cause for cause in found if cause.kind in kinds.OF_IDS]
+    causes = ids or [*_of_gimbal(result, stated), *_other_scale(posterior, stated), *found]
+    causes = [replace(cause, evidence=min(cause.evidence, LARGEST_EVIDENCE)) for cause in causes]
     return tuple(sorted(causes, key=lambda cause: -cause.evidence))
 
 
@@ -70,7 +77,7 @@ def _other_scale(posterior: Posterior, stated: CalibrationOptions) -> tuple[Caus
 
 def _two_log_odds(against: float) -> float:
     """Return 2 log of the odds for what has a probability against it."""
-    return min(2.0 * (math.log1p(-min(against, 0.999)) - math.log(max(against, 1e-30))), LARGEST_EVIDENCE)
+    return 2.0 * (math.log1p(-min(against, 0.999)) - math.log(max(against, 1e-30)))
 
 
 def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, ...]:

@@ -31,10 +31,11 @@ from calib.joint.posed import lens_names
 from calib.joint.posterior import Posterior, mixed, posterior
 from calib.joint.prior import block_diagonal
 from calib.joint.solve import Optimum
-from calib.joint.wrong_views import ShiftedIds, find_shifted_ids
+from calib.joint.wrong_views import find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE
-from calib.model.cause import PARALLAX
+from calib.model.cause import PARALLAX, Cause
 from calib.model.lens import is_fisheye
+from calib.model.likelihood_ratio import DECISIVE
 from calib.progress import expect
 from calib.view import View
 
@@ -173,7 +174,7 @@ def _moved_otherwise(
 
 
 def with_doubted_bound(
-    held: Posterior, views: Sequence[View], options: CalibrationOptions, shifted: ShiftedIds
+    held: Posterior, views: Sequence[View], options: CalibrationOptions, shifted: Cause | None
 ) -> Posterior:
     """Return the posterior that allows for a wrong bound of the parallax, if something contradicts it; else ``held``.
 
@@ -189,7 +190,7 @@ def with_doubted_bound(
     try:
         log_odds = _log_odds_without_bound(views, options)
         share = 0.5 + 0.5 * math.tanh(0.5 * log_odds)
-        if shifted.worth > max(2.0 * log_odds, 0.0) or share < _LEAST:
+        if (shifted and shifted.evidence - DECISIVE > 2.0 * log_odds) or share < _LEAST:
             return held
         free = posterior_of(views, _unbounded(options))
     except (CalibrationError, np.linalg.LinAlgError):  # without the bound nothing determines the camera
@@ -197,7 +198,7 @@ def with_doubted_bound(
     return _with_bound(held, replace(free, faults={**free.faults, PARALLAX: 1.0}), share, log_odds)
 
 
-def shifted_ids(optimum: Optimum, views: Sequence[View], options: CalibrationOptions) -> ShiftedIds:
+def shifted_ids(optimum: Optimum, views: Sequence[View], options: CalibrationOptions) -> Cause | None:
     """Return the views whose ids are shifted, if the pupil is moved as in an optimum."""
     pupil = optimum.marginal.problem.bench.layout.bench.pupil
     same = options if pupil is Pupil.HELD else _unbounded(options)

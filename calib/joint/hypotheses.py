@@ -83,6 +83,11 @@ OTHER_OPTIMUM = Hypothesis(
     rows.AMPLITUDES,
 )
 SHIFTED_IDS = Hypothesis("the ids of a view are shifted", 1e-4, "they come from a tag, whose code is checked")
+OTHER_ORIGIN = Hypothesis(
+    "the points of a view have another origin",
+    1.0,
+    "nobody stated what program made each view",
+)
 FOCUS_CHANGE = Hypothesis(
     "the focus ring was touched between two poses, or the lens has play",
     1e-2,
@@ -103,5 +108,6 @@ HYPOTHESES = (
     NO_BOUND,
     OTHER_OPTIMUM,
     SHIFTED_IDS,
+    OTHER_ORIGIN,
     FOCUS_CHANGE,
 )

@@ -29,6 +29,7 @@ from calib.joint.summary import summarised
 from calib.joint.unsteady_focus import unsteady_focus
 from calib.joint.words import notes, require_determined
 from calib.joint.wrong_views import find_other_origins
+from calib.model.cause import Cause
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
@@ -54,22 +55,25 @@ def calibrate_jointly(
     used = used_stars(views, options.guard_band, wrong)
     kept = _kept(views, used)
     adjusted = _adjusted(kept, options)
-    focus = None if adjusted.doubt else unsteady_focus(adjusted.posterior)
+    focus = None if adjusted.shifted else unsteady_focus(adjusted.posterior)
     if focus is not None and focus.is_sure:
         views = focus.at_middle(views, adjusted.posterior.mean[2:4])
         kept = _kept(views, used)
         adjusted = _adjusted(kept, options)
-    posterior, gimbal, entered, doubt = adjusted
+    posterior, gimbal, entered, shifted = adjusted
     parameters = _parameters(posterior)
-    require_determined(posterior, kept, parameters, entered, doubt)
+    require_determined(posterior, kept, parameters, entered, shifted)
     posterior = replace(posterior, reach=focus.reach if focus else 0.0)
     result = _calibration(posterior, views, used, parameters, gimbal)
     from calib.joint.causes import find_causes  # here: it brings scipy, which a forecast does not need
 
-    causes = () if doubt else find_causes(result, posterior, focus.as_cause(kept) if focus else None, options)
-    result = replace(result, causes=causes)
-    other = "" if doubt else find_other_origins(posterior.optimum, kept)
-    return replace(result, notes=(*filter(None, (doubt, other)), *notes(result, posterior)))
+    of_views = (
+        shifted,
+        focus.as_cause(kept) if focus else None,
+        find_other_origins(posterior.optimum, kept),
+    )
+    result = replace(result, causes=find_causes(result, posterior, of_views, options))
+    return replace(result, notes=notes(result, posterior))
 
 
 def _kept(views: Sequence[View], used: Sequence[NDArray[np.bool_]]) -> list[View]:
@@ -83,7 +87,7 @@ class _Adjusted(NamedTuple):
     posterior: Posterior
     gimbal: GimbalEstimate | None
     options: CalibrationOptions  # Without readings that did not enter
-    doubt: str  # Which views have shifted ids
+    shifted: Cause | None  # That ids of views are shifted
 
 
 def _adjusted(views: Sequence[View], options: CalibrationOptions) -> _Adjusted:
@@ -100,8 +104,8 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions) -> _Adjusted:
     if gimbal is not None and not gimbal.entered:
         options = replace(options, gimbal=None)
         posterior = posterior_of(views, options)
-        shifted = shifted if shifted.words else shifted_ids(posterior.optimum, views, options)
-    return _Adjusted(posterior, gimbal, options, shifted.words)
+        shifted = shifted or shifted_ids(posterior.optimum, views, options)
+    return _Adjusted(posterior, gimbal, options, shifted)
 
 
 def _parameters(posterior: Posterior) -> AdjustmentParameters:

@@ -21,7 +21,7 @@ from calib.joint.modes import modes_of
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
 from calib.model import cause as kinds
-from calib.model.cause import LARGEST_EVIDENCE, MOST_BESIDE, Cause
+from calib.model.cause import MOST_BESIDE, Cause
 from calib.model.likelihood_ratio import ALONE
 from calib.view import View
 
@@ -78,7 +78,7 @@ class UnsteadyFocus:
         value = float(self.log_f[-1] - self.log_f[0] if signed else np.ptp(self.log_f))
         cause = Cause(
             self.kind,
-            min(self.evidence, LARGEST_EVIDENCE),
+            self.evidence,
             100.0 * value,
             200.0 * self.sigma,
             "%",
@@ -196,5 +196,5 @@ def _changed(optimum: Optimum, change: _Change, columns: Array) -> _Changed:
     for _ in range(_IMPROVED):
         added = AddedColumns.of(there, along)
         sizes = sizes + np.linalg.solve(added.information + np.eye(len(sizes)) / _CHANGE**2, added.gradient)
-        there = at_best(replace(optimum, solution=displaced(optimum, along @ sizes).solve(there.eta)))
+        there = displaced(optimum, along @ sizes, there.eta)
     return _Changed(change, sizes, added.information, there)

@@ -19,7 +19,7 @@ from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
 from calib.joint.posterior import Posterior
 from calib.joint.readings import SCATTER
 from calib.model import result_parts as rows
-from calib.model.cause import PARALLAX, cause_sentence
+from calib.model.cause import PARALLAX, Cause, cause_sentence
 from calib.model.gimbal import MOUNTING
 from calib.model.result_parts import Witness
 from calib.model.rotation import exp_map
@@ -58,16 +58,17 @@ def require_determined(
     views: Sequence[View],
     parameters: AdjustmentParameters,
     options: CalibrationOptions,
-    doubt: str = "",
+    shifted: Cause | None = None,
 ) -> None:
     """Refuse views that know a focal length to no better than 5 % (1-sigma), or an adjustment without an optimum.
 
-    The error names a ``doubt`` about the data as the cause, if there is one; else the unknown that nothing binds.
+    The error names ids that are ``shifted`` as the cause, if there are any; else the unknown that nothing binds.
     """
     if options.passport is None:
         require_distinct_poses(parameters)
     sigmas = np.sqrt(np.diag(posterior.covariance))
     weak = explain_weak_geometry(views, parameters)  # then nothing else is determined: no lens, no ids
+    doubt = cause_sentence(shifted) if shifted else ""
     cause = "" if weak else _lens(posterior) or doubt  # a lens of another family looks like shifted ids, too
     why = weak or cause
     for k, name in enumerate(("fx", "fy")):

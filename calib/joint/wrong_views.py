@@ -11,18 +11,18 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.errors import CalibrationError, NotConverged
 from calib.joint.added_columns import AddedColumns, displaced
-from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.effect import Places
 from calib.joint.evidence import at_best, value_as_weighed
-from calib.joint.hypotheses import SHIFTED_IDS
+from calib.joint.hypotheses import OTHER_ORIGIN, SHIFTED_IDS
 from calib.joint.solve import Optimum, search
+from calib.model import cause as kinds
+from calib.model.cause import Cause
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
 from calib.progress import expect
@@ -40,19 +40,12 @@ _ON_LATTICE = 0.05
 #: drawn gimbals with right ids it would rise by 300 or more from three poses on; with wrong ids of one of nine views
 #: and readings it rose by 9.
 _LOOKED_AT, _PROMISED = -50.0, 4.0
-#: Largest number of shifts that are adjusted at a time, and of steps of the amplitudes.
-_ADJUSTED, _STEPS = 4, 20
+#: Largest number of shifts that are adjusted at a time.
+_ADJUSTED = 4
 #: Of other shifts that explain much, so many are tried with other sizes: each takes up to four searches.
 _RIVALS = 2
 #: An origin at a pixel's corner instead of its centre, px.
 HALF_PX = 0.5
-
-
-class ShiftedIds(NamedTuple):
-    """Views whose ids are shifted."""
-
-    words: str = ""  # Empty if the views agree, or if no shift explains their errors
-    worth: float = 0.0  # 2 log of the odds of these shifts against none
 
 
 def _shifts(optimum: Optimum, places: Places) -> AddedColumns:
@@ -68,8 +61,7 @@ def _promised(optimum: Optimum, places: Places, shifts: Array) -> float:
     """Return by how much -2 log of the likelihood falls with (m, 2) shifts and the best amplitudes then, all linear."""
     basis = np.zeros((len(shifts), optimum.marginal.equations.of_views.shape[1]))
     basis[:, places] = shifts
-    there = displaced(optimum, basis).solve(optimum.eta)
-    return at_best(optimum).solution.value - best_amplitudes(there, _STEPS).value
+    return at_best(optimum).solution.value - displaced(optimum, basis, optimum.eta).solution.value
 
 
 @dataclass(frozen=True)
@@ -105,7 +97,7 @@ def _gain(first: Optimum, there: Optimum) -> float:
 
 def find_shifted_ids(
     optimum: Optimum, views: Sequence[View], rounds: int, again: Callable[[Sequence[View]], Optimum]
-) -> ShiftedIds:
+) -> Cause | None:
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
     The best shift of one view is kept, and the search goes on with the next view, up to half of the views. Where
@@ -114,7 +106,7 @@ def find_shifted_ids(
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
-        return ShiftedIds()
+        return None
     each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(SHIFTED_IDS.odds)
 
     def cost(moved: _Moved) -> float:
@@ -139,32 +131,19 @@ def find_shifted_ids(
             break
         best = better
     if not best.shifts.any():
-        return ShiftedIds()
+        return None
     others = sorted((moved for moved in every if worth(moved) > 0.0 and moved is not best), key=worth)
     for rival in others[-_RIVALS:]:  # another size of its shift may explain more
         every += _shifted(optimum, rival, pitch, rounds)
     likeliest = max(every, key=worth)
     best = likeliest if likeliest is best or holds(likeliest) else best
     rivals = [moved for moved in every if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE]
-    return ShiftedIds(_note(views, best, rivals, cost(best)), worth(best))
-
-
-def _note(views: Sequence[View], best: _Moved, rivals: Sequence[_Moved], enough: float) -> str:
-    """Return the sentence that names the shifted views, or those of which one is shifted."""
-    others = {_in_words(views, moved) for moved in rivals} - {_in_words(views, best)}
+    shown, alike = _in_words(views, best), {_in_words(views, moved) for moved in rivals}
     if len(views) == 2:  # what all views have in common is another centre
-        others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
-    ratio = f"2 log(likelihood ratio) is {best.gain:.0f}; {enough:.0f} is enough"
-    if others:
-        return (
-            "The star ids of one view may be shifted, but these views do not show which one. Shift the ids of "
-            f"{', or '.join([_in_words(views, best), *sorted(others)])}. "
-            f"Then the stars fit far better ({ratio}). Check the ids of these views, or add views."
-        )
-    return (
-        f"The star ids are wrong: shift the ids of {_in_words(views, best)}. "
-        f"Then the stars fit far better ({ratio}). Check the tag or the id file of this view."
-    )
+        alike.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
+    alike -= {shown}
+    kind = kinds.ONE_OF_IDS if alike else kinds.IDS
+    return Cause(kind, worth(best) + DECISIVE, axis=", or ".join([shown, *sorted(alike)]))
 
 
 def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_Moved]:
@@ -242,36 +221,33 @@ def _lattice_pitch(views: Sequence[View]) -> float | None:
     return pitch if np.abs(steps - np.round(steps)).max() < _ON_LATTICE else None
 
 
-def find_other_origins(optimum: Optimum, views: Sequence[View]) -> str:
+def find_other_origins(optimum: Optimum, views: Sequence[View]) -> Cause | None:
     """Look for views whose points lie half a pixel away from those of the other views, along both axes.
 
     Views join the shifted ones, one by one. The likelihood ratio decides how many there are, at most half of all
     views. An offset of another size must not be decisively more likely. A single view is seldom found, because its own
-    rotation imitates a shift. Three or more views are needed. Returns a sentence; an empty one if all views agree, or
-    if they cannot decide.
+    rotation imitates a shift. Three or more views are needed.
     """
     if len(views) < 3:
-        return ""
+        return None
     places = np.array([optimum.marginal.problem.bench.layout.index[name] for name in ("cx", "cy")])
     shifts = _shifts(optimum, places)
     ratio, shift = max((_joined(shifts, by) for by in (HALF_PX, -HALF_PX)), key=lambda joined: joined[0])
     if ratio < 0.0:
-        return ""
-    # Offsets of the joined views along each axis, in half pixels.
-    pattern = np.einsum("vj,jk->vjk", shift, np.eye(2)).reshape(-1, 2)
-    normal = pattern.T @ shifts.information @ pattern
-    times = np.linalg.solve(normal, pattern.T @ shifts.gradient)
-    if (times - 1.0) @ normal @ (times - 1.0) > DECISIVE:
-        return ""
-    members, sigmas = np.flatnonzero(shift[:, 0]).tolist(), HALF_PX * np.sqrt(np.diag(np.linalg.inv(normal)))
-    names = [views[i].name for i in members]
-    which = f"view {names[0]} lie" if len(names) == 1 else f"views {', '.join(names)} lie"
-    offset = times * shift[members[0]]
-    along = f"{abs(offset[0]):.2f} px {'right' if offset[0] >= 0 else 'left'}"
-    return (
-        f"The points of {which} {along} and {abs(offset[1]):.2f} px {'down' if offset[1] >= 0 else 'up'} of those of "
-        f"the other views (± {2.0 * sigmas.max():.2g} px, k = 2): their origin seems to differ. "
-        "Check --origin, and give all views the same."
+        return None
+    pattern = shift.reshape(-1)
+    information = float(pattern @ shifts.information @ pattern)
+    times = float(pattern @ shifts.gradient) / information
+    if (times - 1.0) ** 2 * information > DECISIVE:
+        return None
+    return Cause(
+        kinds.ORIGIN,
+        ratio + DECISIVE,
+        value=HALF_PX * times,
+        expanded=2.0 * HALF_PX / math.sqrt(information),
+        unit="px",
+        axis="right and down" if shift.sum() > 0.0 else "left and up",
+        pose=", ".join(view.name for view, own in zip(views, shift, strict=True) if own.any()),
     )
 
 
@@ -285,6 +261,6 @@ def _joined(shifts: AddedColumns, by: float) -> tuple[float, Array]:
         )
         gains = shifts.gains(tried.reshape(len(tried), -1))
         shift = tried[gains.argmax()]
-        ratio = float(gains.max()) - needed(2 * math.comb(views, size))
+        ratio = float(gains.max()) - needed(2 * math.comb(views, size)) + 2.0 * math.log(OTHER_ORIGIN.odds)
         best = max(best, (ratio, shift), key=lambda ratio_and_shift: ratio_and_shift[0])
     return best

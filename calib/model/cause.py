@@ -30,6 +30,9 @@ FOCUSED, FOCUS_CREEPS, FOCUS_PLAYS = (
     "focal length of each pose",
 )
 UNCHANGED = "focal length that does not change"
+IDS, ONE_OF_IDS = "star ids of views shifted", "star ids of one view of several shifted"
+OF_IDS = IDS, ONE_OF_IDS
+ORIGIN = "views with another origin"
 SCALED = "target of another scale"
 #: Statements of the station (`calib.joint.knowledge`) that stand beside a target of another scale.
 CERTIFICATE, PARALLAX = "certificate of the collimator", "pupil and defocus"
@@ -49,9 +52,9 @@ class Cause:
     expanded: float | None = None  # Expanded uncertainty of the value, k = 2; None if none is known
     unit: str = ""
     stated: float | None = None  # What was stated or expected of the value
-    axis: str = ""  # Name of an axis, or of the axes of which it is one
+    axis: str = ""  # Name of an axis, or of the axes of which it is one; which way views are shifted
     before: str = ""  # Name of the last pose without it
-    pose: str = ""  # Name of the first pose with it, or of the only one
+    pose: str = ""  # Name of the first pose with it, or of the only ones
     beside: tuple[str, ...] = ()  # Kinds that the data cannot tell from this one
     explains: tuple[str, ...] = ()  # Statements that seem to be wrong, and are not
 
@@ -222,6 +225,19 @@ _WORDS: Mapping[str, Words] = {
         "The radius that the stars show is {size} times the certified one, {stated:.6g} mm: the pitch of the target is "
         "probably {inverse:.5g} times the stated one, or another target is in the collimator",
         "Check pitch and target.",
+    ),
+    IDS: Words(
+        says="The star ids are wrong: shift the ids of {axis}. Then the stars fit far better",
+        remedy="Check the tag or the id file of these views.",
+    ),
+    ONE_OF_IDS: Words(
+        says="The star ids of one view may be shifted, but these views do not show which one. Shift the ids of {axis}. "
+        "Then the stars fit far better",
+        remedy="Check the ids of these views, or add views.",
+    ),
+    ORIGIN: Words(
+        says="The points of {pose} lie {size} {axis} of those of the other views: their origin seems to differ",
+        remedy="Check --origin, and give all views the same.",
     ),
     CERTIFICATE: Words(
         "the certificate is that of another collimator", "compare its serial with the collimator's"

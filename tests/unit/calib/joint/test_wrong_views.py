@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import InputMismatch
+from calib.model import cause as kinds
 from calib.model.gimbal_readings import AXES, GimbalReadings, ParallaxBound
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
@@ -41,26 +42,24 @@ def misnamed(view, columns, rows):
 
 
 def doubts(views, options=None):
-    notes = calibrate(views, options or CalibrationOptions()).notes
-    return [note for note in notes if "star ids" in note or "origin" in note]
+    causes = calibrate(views, options or CalibrationOptions()).causes
+    return [cause for cause in causes if cause.kind in (*kinds.OF_IDS, kinds.ORIGIN)]
 
 
-def shifts_of(sentence):
-    """By the name of each view in a sentence: the columns and rows by which to shift its ids."""
+def shifts_of(cause):
+    """By the name of each view: the columns and rows by which to shift its ids."""
     form = r"view (pose.?\d+) by (?:(-?\d+) columns?)?(?: and )?(?:(-?\d+) rows?)?"
-    return {(view, int(columns or 0), int(rows or 0)) for view, columns, rows in re.findall(form, sentence)}
+    return {(view, int(columns or 0), int(rows or 0)) for view, columns, rows in re.findall(form, cause.axis)}
 
 
 def named_shift(views):
-    """The shifts that the note on wrong ids names; none if there is no such note."""
-    notes = doubts(views)
-    if not notes:
+    """The shifts that are named; none if the views seem right."""
+    causes = doubts(views)
+    if not causes:
         return set()
-    (note,) = notes
-    assert note.startswith("The star ids are wrong: shift the ids of view")
-    reached, enough = map(int, re.search(r"ratio\) is (\d+); (\d+) is enough", note).groups())
-    assert reached >= enough  # both are rounded
-    return shifts_of(note)
+    (cause,) = causes
+    assert cause.kind == kinds.IDS
+    return shifts_of(cause)
 
 
 @pytest.mark.parametrize(
@@ -107,8 +106,8 @@ def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     views = views_of(drawn)
     places = np.unique(np.round(views[0].target_mm, 6)[:, 0])
     views[2] = replace(views[2], target_mm=views[2].target_mm + np.median(np.diff(places)) * np.array([1, 0]))
-    (note,) = doubts(views, options_for(drawn, "0"))
-    assert note.startswith("The star ids are wrong: shift the ids of view pose 3 by -1 column. ")
+    (cause,) = doubts(views, options_for(drawn, "0"))
+    assert (cause.kind, shifts_of(cause)) == (kinds.IDS, {("pose 3", -1, 0)})
 
 
 @settings(max_examples=4, deadline=None)
@@ -130,8 +129,8 @@ def test_right_ids_behind_a_real_collimator_are_not_doubted(world, count):
 def test_two_shifted_views_of_six_are_named_together():
     views = bench(1)
     views[1], views[4] = misnamed(views[1], 1, 0), misnamed(views[4], 0, -2)
-    (note,) = doubts(views)
-    assert shifts_of(note) == {("pose-002", 1, 0), ("pose-005", 0, -2)}
+    (cause,) = doubts(views)
+    assert shifts_of(cause) == {("pose-002", 1, 0), ("pose-005", 0, -2)}
 
 
 def test_of_two_views_nobody_can_tell_which_is_shifted():
@@ -140,9 +139,9 @@ def test_of_two_views_nobody_can_tell_which_is_shifted():
     views[0] = misnamed(views[0], 1, 0)
     angles = tuple(dict(zip(AXES, (*pose, 0.0), strict=False)) for pose in POSES[:2])
     rough = GimbalReadings(angles, 0.5, parallax=ParallaxBound(0.0, 0.1, 0.0, 0.01))
-    (note,) = doubts(views, CalibrationOptions(gimbal=rough))
-    assert "do not show which one" in note
-    assert {("pose-001", 1, 0), ("pose-002", -1, 0)} <= shifts_of(note)
+    (cause,) = doubts(views, CalibrationOptions(gimbal=rough))
+    assert cause.kind == kinds.ONE_OF_IDS
+    assert {("pose-001", 1, 0), ("pose-002", -1, 0)} <= shifts_of(cause)
 
 
 def test_stars_on_no_lattice_have_no_columns():
@@ -176,16 +175,14 @@ def moved(view, by):
     return replace(view, points_px=view.points_px + by)
 
 
-@pytest.mark.parametrize(("by", "along"), [(0.5, ("right", "down")), (-0.5, ("left", "up"))])
+@pytest.mark.parametrize(("by", "along"), [(0.5, "right and down"), (-0.5, "left and up")])
 def test_a_few_views_with_another_origin_are_named(by, along):
     views = bench(4, 0.005, 8)
     for place in (1, 4):
         views[place] = moved(views[place], by)
-    (note,) = doubts(views)
-    form = r"The points of views pose-002, pose-005 lie (\S+) px (\w+) and (\S+) px (\w+) of .* \(± (\S+) px, k = 2\)"
-    x, right, y, down, expanded = re.match(form, note).groups()
-    assert (right, down) == along
-    assert [float(x), float(y)] == pytest.approx([0.5, 0.5], abs=2 * float(expanded))
+    (cause,) = doubts(views)
+    assert (cause.kind, cause.pose, cause.axis) == (kinds.ORIGIN, "pose-002, pose-005", along)
+    assert cause.value == pytest.approx(0.5, abs=2 * cause.expanded)
 
 
 @pytest.mark.parametrize(("noise_px", "named"), [(0.01, True), (0.05, False)])
