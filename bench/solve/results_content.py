@@ -137,8 +137,11 @@ def results_content(
 
 
 def causes_without_earlier_run(solved: Solved) -> list[CauseData]:
-    """Return the causes of a calibration that rest on the run and its station: a customer has no earlier run."""
-    return [cause for cause in solved.get("causes", ()) if not cause["before"]]
+    """Return the causes of a calibration that rest on the run and its station: a customer has no earlier run.
+
+    One that names a pose has the pose before it in ``before``; others have the earlier run there.
+    """
+    return [cause for cause in solved.get("causes", ()) if cause["pose"] or not cause["before"]]
 
 
 def run_data(job: Job, history: History) -> RunData:
