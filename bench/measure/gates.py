@@ -26,6 +26,9 @@ up to a quarter period before, when the light begins to grow; with a square wave
 An inverted sync signal shifts them by half a period."""
 FILTERS_TO_DISABLE = ("afk", "stc", "trail", "erc")
 """On-chip filters that remove events of the flicker."""
+_SILENT = (
+    "they are dead, or missed by the readout: lower the event rate; if the same ones stay, it is the sensor"
+)
 ADVICE = {
     "event rate": "for fewer events, lower the light's frequency_hz or level_percent, or raise bias_diff_on and "
     "bias_diff_off; if the camera carries them, set a higher max_event_rate_mev_s",
@@ -34,6 +37,11 @@ ADVICE = {
     "triggers missed": "edges of the sync signal were lost: check its cable, its plugs and its level",
     "trigger jitter": "the edges of the sync signal are not regular: check its cable, and that it comes from the light",
     "events after sync": "the sync signal is inverted, or not that of the light: check the sync output and its cable",
+    "flicker disagreement": "events do not follow the sync signal alone: look for another light that flickers, such "
+    "as a lamp on the mains",
+    "stars moved": "wait longer before recording, and look for a fan or a pump that shakes the bench",
+    "silent rows": _SILENT,
+    "silent columns": _SILENT,
     "flicker off nominal": "the light does not flicker as set: compare its frequency_hz with what its driver shows",
 }
 """What to do if a gate fails, by its name."""

@@ -234,7 +234,7 @@ def why_no_target(error: TargetNotFound, facts: MeasuredFacts, whole: NDArray[np
             "The image is out of focus: the beam is lit, and shows hardly any detail.",
             where=error.where,
             remedy="Focus the lens with `starbench align`. If it is in focus, look whether the target is in the "
-            "collimator.",
+            "collimator, and whether fog or dew lies on a lens.",
         )
     pixels = whole.size
     source = "the sync signal comes" if facts.get("flicker_source") == "triggers" else "some events flicker"

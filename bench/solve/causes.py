@@ -48,7 +48,7 @@ _STOOD_STILL_S = 10.0
 class _Seen:
     """What the accepted recordings of a run showed, by name of the pose."""
 
-    stars: Mapping[str, int]
+    stars: Mapping[str, int]  # None where silent lines cost stars: a note of the run tells these
     off_events: Mapping[str, float]  # Of a falling edge of the light, by the pixels that follow it
     on_delay_us: Mapping[str, float]  # Of the first ON events after a square light rises
     duty: Mapping[str, float]  # By the edges of the sync signal, as a share of the period
@@ -95,7 +95,9 @@ def _seen_in(history: History, calibration: Calibration) -> _Seen:
     stored = next((attempt.stored for attempt in reversed(list(accepted))), None)
     images = {attempt.pose_name: attempt.measured.get("image") for attempt in accepted}
     return _Seen(
-        {view.name: view.n for view in calibration.views},
+        {}
+        if any(map(_has_silent_lines, images.values()))
+        else {view.name: view.n for view in calibration.views},
         _off_events(images),
         _on_delays_us(images),
         _known({attempt.pose_name: attempt.measured.get("flicker_duty") for attempt in accepted}),
@@ -118,6 +120,10 @@ def _seen_before(results: Results) -> _Seen:
         conditions["light"] if conditions else LightSettingsData(),
         _camera_settings(conditions["camera"]) if conditions else {},
     )
+
+
+def _has_silent_lines(image: ImageFacts | None) -> bool:
+    return bool(image and (image.get("silent_rows") or image.get("silent_columns")))
 
 
 def _off_events(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:

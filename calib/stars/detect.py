@@ -247,5 +247,6 @@ def _require_enough(
     wide = f": star edges are {width_px:.1f} px wide" if np.isfinite(width_px) else ""
     raise TooFewStars(
         f"{what} The image is out of focus{wide}.",
-        remedy="Focus the camera until star edges are narrower than 1.3 px (edge_width_px), or use a sine flicker.",
+        remedy="Focus the camera until star edges are narrower than 1.3 px (edge_width_px), or use a sine flicker. "
+        "If it is in focus, look for a window or a filter before the lens that doubles the image.",
     )

@@ -9,8 +9,11 @@ import pytest
 
 from bench.record.history import History
 from bench.solve.causes import beside_last_run, causes_of_run
+from bench.solve.results_content import causes_without_earlier_run
 from bench.wording import causes as kinds
 from bench.wording.causes import sentence_of
+from calib.model import cause as of_views
+from calib.model.cause import Cause
 
 LIGHT = {"waveform": "square", "frequency_hz": 60.0, "duty_percent": 50.0, "low_v": 0.0, "high_v": 5.0}
 SLEPT = (("slewing", "2026-03-01T10:00:00+00:00", 100.0), ("settling", "2026-03-01T10:30:00+00:00", 101.0))
@@ -18,12 +21,15 @@ CAMERA = {"biases": {"bias_diff_off": 0, "bias_fo": 0}, "filters": {"trail": Fal
 
 
 SEEN = {
-    "stars": 600, "rms_px": 0.04, "lit": 700_000, "off": 2.0, "delay_us": 9.0, "duty": 0.5, "light": LIGHT, **CAMERA,
+    "stars": 600, "columns": 0, "rms_px": 0.04, "lit": 700_000, "off": 2.0, "delay_us": 9.0, "duty": 0.5, "light": LIGHT, **CAMERA,
 }  # fmt: skip
 
 
 def _image(run: dict[str, Any]) -> dict[str, Any]:
-    return {"lit_pixels": run["lit"], "events_per_edge_off": run["off"], "first_on_delay_us": run["delay_us"]}
+    return {
+        "lit_pixels": run["lit"], "events_per_edge_off": run["off"], "first_on_delay_us": run["delay_us"],
+        "silent_columns": run["columns"],
+    }  # fmt: skip
 
 
 def causes(
@@ -132,6 +138,11 @@ def test_a_sine_has_no_delay_and_later_events_of_another_waveform_are_not_compar
     assert causes(light=sine, delay_us=14.0) == []
 
 
+def test_stars_that_silent_columns_cost_are_no_sign_of_a_weak_image():
+    assert [cause.kind for cause in causes(stars=400)] == [kinds.FEWER]
+    assert causes(stars=400, columns=7) == []
+
+
 def test_earlier_events_are_no_sign_of_a_weak_image():
     assert causes(delay_us=5.0) == []
 
@@ -141,6 +152,12 @@ def test_what_rests_on_the_last_run_has_its_name_and_stands_beside_what_the_run_
     told, alone = causes(**changed), causes(**changed, first=True)
     assert [cause for cause in told if not cause.before] == alone
     assert [cause.kind for cause in told if cause.before] == [kinds.LIGHT]
+
+
+def test_a_cause_between_two_poses_rests_on_no_earlier_run():
+    knocked = Cause(of_views.TURNED, 50.0, 0.3, before="two", pose="three").to_dict()
+    dimmed = Cause(kinds.DIMMER, 50.0, 4.0, stated=8.0, before="run-7").to_dict()
+    assert causes_without_earlier_run(cast("Any", {"causes": [knocked, dimmed]})) == [knocked]
 
 
 def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
