@@ -1,18 +1,15 @@
 """CPU time of a fit by the joint adjustment, and by OpenCV's planar calibration of the same views.
 
-    python tests/benchmarks/bench_fit.py [--poses 3 9 20] [--seeds 0-3] [--worlds polynomial product S1] [--checkout FOLDER]
+    python tests/benchmarks/bench_fit.py [--poses 3 9 20] [--seeds 0-3] [--worlds polynomial product S1]
 
 For each world and number of poses, the median over the seeds and the 95th percentile, s. ``cr``: certificate and bounded readings; a mount
 moved by hand (S1) has neither. OpenCV's ``calibrateCamera`` gets the same stars, and the same two coefficients.
-``--checkout`` then measures another checkout, and prints its time over this one's.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from itertools import product
-from pathlib import Path
 
 import cv2
 import measured
@@ -55,8 +52,6 @@ def main() -> None:
     parser.add_argument("--poses", nargs="+", type=int, default=[3, 9, 20])
     parser.add_argument("--seeds", type=measured.seeds, default="0-3")
     parser.add_argument("--worlds", nargs="+", default=["polynomial", "product", "S1"], choices=WORLDS)
-    parser.add_argument("--checkout", type=Path)
-    parser.add_argument("--json", action="store_true", help="print the numbers only")
     given = parser.parse_args()
     seconds("polynomial", 3, 0)  # imports and compiled loops
     spreads = {
@@ -66,27 +61,10 @@ def main() -> None:
         ]
         for world, poses in product(given.worlds, given.poses)
     }
-    if given.json:
-        print(json.dumps(spreads))
-        return
-    other = {}
-    if given.checkout:
-        words = [
-            "--json",
-            "--seeds",
-            f"{given.seeds[0]}-{given.seeds[-1]}",
-            "--poses",
-            *map(str, given.poses),
-        ]
-        other = json.loads(measured.in_checkout(given.checkout, *words, "--worlds", *given.worlds))
-    names = ("world, poses", *("joint adjustment", "95 %"), *("OpenCV, planar", "95 %"))
-    names += ("other over this one", "95 %") if other else ()
+    names = ("world, poses", "joint adjustment", "95 %", "OpenCV, planar", "95 %")
     print(f"| {' | '.join(names)} |\n|{' --- |' * len(names)}")
     for name, (joint, planar) in spreads.items():
-        ratios = [before / now for before, now in zip(other[name][0], joint, strict=True)] if other else []
-        print(
-            f"| {name} | {joint.cells(2)} | {planar.cells(2)} |{''.join(f' {ratio:.2f} |' for ratio in ratios)}"
-        )
+        print(f"| {name} | {joint.cells(2)} | {planar.cells(2)} |")
 
 
 if __name__ == "__main__":

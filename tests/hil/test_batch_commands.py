@@ -118,10 +118,3 @@ def test_the_demonstration_is_a_night_of_sixty_runs_of_nine_poses(night):
     plan = json.loads(called(*words, home=folder / "home").stdout)
     assert (plan["runs"], plan["no_time_for"]) == (60, [])
     assert plan["end_utc"] > "2026-03-02T04:00"
-
-
-@pytest.mark.parametrize("document", ["queue", "job"])
-def test_editors_get_the_shape_of_a_queue_and_of_a_job(night, document):
-    folder, _ = night
-    schema = json.loads(called("schema", document, home=folder / "home").stdout)
-    assert "start_at" in json.dumps(schema)

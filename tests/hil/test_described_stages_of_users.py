@@ -290,45 +290,6 @@ def test_a_position_that_has_more_digits_than_the_device_takes_is_not_sent(tmp_p
 # ------------------------------------------------------------ PI's general command set
 
 
-def test_a_controller_of_pi_moves_by_its_general_command_set(clock) -> None:
-    wire, motor = Wire(clock, LINES), Motor(clock)
-    known = {"SVO": "0", "FRF": "0", "ERR": "0"}
-
-    def answer(request: str) -> str:
-        verb, _, value = request.partition(" 1")
-        if verb in {"MOV", "FRF"} and known["SVO"] == "0":
-            known["ERR"] = "5"
-        elif verb == "MOV":
-            motor.move(float(value))
-        elif verb == "FRF":
-            motor.move(0.0)
-            known["FRF"] = "1"
-        elif verb == "SVO":
-            known["SVO"] = value.strip()
-        elif verb == "STP":
-            motor.stop()
-            known["ERR"] = "10"
-        if request == "*IDN?":
-            return "(c)2013 Physik Instrumente(PI) Karlsruhe, C-863.11,0,1.2.1.0\n"
-        if request == "ERR?":
-            code, known["ERR"] = known["ERR"], "0"
-            return f"{code}\n"
-        shown = {
-            "POS?": f"{motor.position_deg:.4f}", "ONT?": str(int(not motor.is_busy)), "FRF?": known["FRF"],
-            "SVO?": known["SVO"], "TMN?": "-170.0000", "TMX?": "170.0000",
-        }  # fmt: skip
-        return f"1={shown[verb]}\n" if verb in shown else ""
-
-    wire.answer = answer
-    stage = opened(wire, described("c863"), ("1", 1.0))
-    stage.home()
-    stage.move_to({"pan": -7.25})
-    assert stage.position_deg() == {"pan": -7.25}
-    assert stage.faults() == []
-    known["ERR"] = "1024"  # motion error: the position error became too large
-    assert stage.faults() == ["pan: 1024"]
-
-
 # ------------------------------------------------------------ a code in each reply, and lines that nobody asked for
 
 
@@ -374,37 +335,6 @@ def test_a_code_of_success_is_no_refusal_and_lines_that_nobody_asked_for_are_lef
 
 
 # ------------------------------------------------------------ a prompt behind each reply
-
-
-def test_a_prompt_ends_each_reply(clock) -> None:
-    wire, motor = Wire(clock, LINES), Motor(clock)
-    known = {"SP": 25000.0, "PA": 0.0}
-
-    def answer(request: str) -> str:
-        if request == "ID":
-            return "DMC4020\r\n:"
-        if request == "TPA":
-            return f" {round(motor.position_deg * 1000)}\r\n:"
-        if request.startswith("MG"):
-            return f" {known['SP'] if 'SP' in request else float(motor.is_busy):.4f}\r\n:"
-        if request.startswith(("PAA=", "SPA=")):
-            known[request[:2]] = float(request[4:])
-        elif request == "BGA":
-            motor.move(known["PA"] / 1000)
-        elif request == "HMA;BGA":
-            motor.move(0.0)
-        elif request == "ST":
-            motor.stop()
-        else:
-            return "?"
-        return ":"
-
-    wire.answer = answer
-    stage = opened(wire, described("dmc4020"), ("A", 1000.0))
-    stage.home()
-    stage.move_to({"pan": -3.5})
-    assert motor.position_deg == -3.5
-    assert "SPA=020000" in wire.sent
 
 
 def test_a_word_ends_each_reply_and_a_refused_move_has_its_reason(clock) -> None:

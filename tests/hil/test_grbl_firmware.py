@@ -19,7 +19,7 @@ import pytest
 from waiting import wait_until
 
 from drivers.clock import SystemClock
-from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
+from drivers.errors import MoveFailed, NotHomed, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.grbl_controller import CANCEL_JOG, STATUS
@@ -127,15 +127,6 @@ def test_identity_homing_moves_and_limits(board: NativeBoard, stage: GrblStage):
         stage.move_to({"pan": 16.0})
 
 
-def test_a_stopped_move_keeps_its_position(board: NativeBoard, stage: GrblStage):
-    stage.home()
-    with once_it_moves(board, stage.stop), pytest.raises(MoveFailed, match="stopped on request"):
-        stage.move_to({"pan": -15.0})
-    assert -15.0 < stage.position_deg()["pan"] < 15.0
-    stage.move_to({"pan": 3.0})
-    assert stage.position_deg()["pan"] == pytest.approx(3.0, abs=0.002)
-
-
 def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, stage: GrblStage, heard: Wire):
     """The firmware forgets a reset for half a second after an alarm; a driver that sends it once would fail here."""
     stage.home()
@@ -179,29 +170,6 @@ def test_a_homing_that_fails_is_named_though_the_board_answers_ok(
     with pytest.raises(MoveFailed, match=re.escape(alarm)):
         stage.home()
     assert "board: no reference" in stage.faults()
-
-
-def test_a_stopped_homing_is_homed_again(board: NativeBoard, stage: GrblStage):
-    stage.home()
-    stage.move_to({"pan": -15.0})
-    with once_it_moves(board, stage.stop), pytest.raises(MoveFailed, match="stopped on request"):
-        stage.home()
-    assert "ALARM:6" in stage.faults()[0]
-    stage.home()
-    assert stage.position_deg() == pytest.approx(HIGHEST_DEG, abs=0.002)
-
-
-def test_a_power_cut_undoes_the_reference(board: NativeBoard, stage: GrblStage):
-    stage.home()
-    board.power_off()
-    with pytest.raises(DriverError):
-        stage.position_deg()
-    board.power_on()
-    board.wait_for_a_sign()
-    with pytest.raises(NotHomed):
-        stage.move_to({"pan": 0.0})
-    stage.home()
-    stage.move_to({"pan": 0.0})
 
 
 # ------------------------------------------------------------ our simulated board and the firmware

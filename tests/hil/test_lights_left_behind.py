@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from drivers.errors import DriverError, LightFault, PortLost, SettingRefused
+from drivers.errors import DriverError, SettingRefused
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from simulators.assembly import make_light
 from simulators.config import LightConfig
 from simulators.errors import ConfigError
-from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
 from tests.hil.direct_lights import OPENED
-from tests.hil.direct_stages import DirectLine, VirtualClock, direct_line
+from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -35,22 +33,6 @@ LEFT = [
 ]
 
 
-class GoneLine(DirectLine):
-    """A line that is gone at one write, and can be opened again."""
-
-    is_network = False
-    gone = False
-
-    def write(self, data: bytes) -> None:
-        if self.gone:
-            self.gone = False
-            raise PortLost("The port is gone.", where="light", remedy="Plug it in.")
-        super().write(data)
-
-    def reopen(self) -> None:
-        pass
-
-
 class Rig:
     """A simulated light as another program left it, its line, and the driver for it."""
 
@@ -59,9 +41,7 @@ class Rig:
         self.device = make_light(
             LightConfig(kind, left_behind=left), self.clock.monotonic, self.states.append
         )
-        self.line = GoneLine(
-            FaultLine(self.device, self.clock.monotonic, np.random.default_rng(1)), self.clock
-        )
+        self.line = direct_line(self.device, self.clock)
         self.light = OPENED[kind](self.line, self.clock)
 
 
@@ -86,14 +66,6 @@ def test_a_light_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, le
     assert rig.light.faults() == []
     rig.light.off()
     assert not rig.states[-1].output or (asked == STEADY and rig.states[-1].high_v == 0.0)
-
-
-@pytest.mark.parametrize(("kind", "left"), LEFT)
-def test_opening_a_light_that_was_left_somehow_changes_nothing(kind, left) -> None:
-    rig = Rig(kind, left)
-    states = len(rig.states)
-    rig.light.is_on()
-    assert len(rig.states) == states
 
 
 def test_what_a_light_cannot_have_left_behind_is_refused_with_what_it_can() -> None:
@@ -272,16 +244,6 @@ def test_the_state_of_a_channel_is_read_in_another_layout(form) -> None:
 
 
 # ---------------------------------------------------------------- restarts
-
-
-def test_a_light_that_restarted_while_its_line_was_gone_is_not_left_on_with_other_settings() -> None:
-    rig = Rig("keysight", "")
-    rig.light.apply(FLICKER)
-    rig.device.exchange("SG0042")
-    rig.line.gone = True
-    with pytest.raises(LightFault, match=r"settings.*restarted"):
-        rig.light.on()
-    assert not rig.states[-1].output
 
 
 @pytest.mark.parametrize("boot", ["SBLIGHT booting...\r\n", "Arduino ready\r\n"])

@@ -72,14 +72,6 @@ def test_a_light_whose_idle_line_was_closed_goes_on_and_is_switched_off(network)
     assert network.states[-1].output
 
 
-def test_a_light_that_restarted_while_its_line_was_closed_is_told(network) -> None:
-    network.light.apply(FLICKER)
-    network.light.on()
-    network.pass_time(11.0)
-    network.driver.exchange("SG0042")
-    assert network.light.faults() != []
-
-
 def test_a_light_that_restarted_before_it_is_switched_on_stays_dark(network) -> None:
     network.light.apply(FLICKER)
     network.pass_time(11.0)

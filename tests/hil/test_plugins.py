@@ -131,8 +131,6 @@ def test_the_example_passes_the_contract_tests(installed) -> None:
     [
         ("raise RuntimeError('no library')", "RuntimeError: no library"),
         ("import sys; sys.exit(3)", "SystemExit: 3"),
-        ("import nothing_of_that_name", "ModuleNotFoundError"),
-        ("Section = 5", "5 is not a class that derives from StageSection"),
         ("", "has no attribute 'Section'"),
         (
             SECTION.replace("NAME", "other"),

@@ -1,4 +1,4 @@
-"""Controllers some of whose replies have no end: Velmex VXM and Ludl answer a question for the state by one letter."""
+"""Controllers some of whose replies have no end: Velmex VXM answers a question for the state by one letter."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from bench.stations.station_text import read_stage_protocol
 from drivers.described.line import DescribedLine
-from drivers.errors import DeviceRefused, DriverError
+from drivers.errors import DriverError
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
@@ -16,7 +16,7 @@ from tests.hil.text_wire import LINES, SPEED, Motor, Wire, described
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
-SCALE = {"vxm": 80.0, "ludl": 1000.0}
+SCALE = 80.0
 
 
 def vxm(clock: VirtualClock) -> tuple[Wire, Motor]:
@@ -28,12 +28,12 @@ def vxm(clock: VirtualClock) -> tuple[Wire, Motor]:
         if request == "V":
             return "B" if motor.is_busy else "R"
         if request == "X":
-            return f"{round(motor.position_deg * SCALE['vxm']):+08d}\r"
+            return f"{round(motor.position_deg * SCALE):+08d}\r"
         if request == "K":
             motor.stop()
             begun[0] = False
         if move := re.fullmatch(r"C,S1M2000,IA1M(-?\d+),R", request):
-            motor.move(int(move[1]) / SCALE["vxm"])
+            motor.move(int(move[1]) / SCALE)
             begun[0] = True
         if request == "C,S1M2000,I1M-0,IA1M-0,R":
             motor.from_deg = motor.to_deg = 0.0
@@ -50,49 +50,21 @@ def vxm(clock: VirtualClock) -> tuple[Wire, Motor]:
     return wire, motor
 
 
-def ludl(clock: VirtualClock) -> tuple[Wire, Motor]:
-    wire, motor = Wire(clock, LINES), Motor(clock)
-
-    def answer(request: str) -> str:
-        if request == "VER":
-            return "Vers: 6.02\n"
-        if request == "STATUS X":
-            return "B" if motor.is_busy else "N"
-        if request == "WHERE X":
-            return f":A {round(motor.position_deg * SCALE['ludl'])} \n"
-        if request == "HALT":
-            motor.stop()
-        elif request == "HOME X":
-            motor.move(0.0)
-        elif request.startswith("MOVE X="):
-            if int(request[7:]) > 14_000:
-                return ":N -4 \n"
-            motor.move(int(request[7:]) / SCALE["ludl"])
-        return ":A \n"
-
-    wire.answer = answer
-    return wire, motor
-
-
-DEVICES = {"vxm": vxm, "ludl": ludl}
-
-
-def opened(device: str) -> tuple[TextStage, Wire, Motor]:
-    wire, motor = DEVICES[device](VirtualClock())
+def opened() -> tuple[TextStage, Wire, Motor]:
+    wire, motor = vxm(VirtualClock())
     axis = TextAxis(
         name="pan",
         limits=AxisLimits(-15.0, 15.0, SPEED, 1e3),
         address="X",
-        counts_per_deg=SCALE[device],
+        counts_per_deg=SCALE,
         tolerance_deg=0.01,
     )
-    protocol = read_stage_protocol(described(device)).value.for_driver()
+    protocol = read_stage_protocol(described("vxm")).value.for_driver()
     return TextStage(wire, [axis], protocol, clock=wire.clock), wire, motor
 
 
-@pytest.mark.parametrize("device", DEVICES)
-def test_a_stage_whose_state_is_a_letter_without_an_end_is_driven(device) -> None:
-    stage, wire, motor = opened(device)
+def test_a_stage_whose_state_is_a_letter_without_an_end_is_driven() -> None:
+    stage, wire, motor = opened()
     assert motor.position_deg == 2.0  # opening moves nothing
     assert not any("M" in request and "," in request for request in wire.sent)
     stage.home()
@@ -102,10 +74,9 @@ def test_a_stage_whose_state_is_a_letter_without_an_end_is_driven(device) -> Non
     stage.stop()
 
 
-@pytest.mark.parametrize("device", DEVICES)
-def test_a_reply_that_comes_in_two_pieces_is_one_reply(device) -> None:
+def test_a_reply_that_comes_in_two_pieces_is_one_reply() -> None:
     """The pause between two packets of a USB adapter is shorter than a silence."""
-    stage, wire, _ = opened(device)
+    stage, wire, _ = opened()
     stage.home()
     whole, held = wire.read, [b""]
 
@@ -122,16 +93,15 @@ def test_a_reply_that_comes_in_two_pieces_is_one_reply(device) -> None:
     assert stage.position_deg() == {"pan": 3.25}
 
 
-@pytest.mark.parametrize("device", DEVICES)
-def test_a_cut_position_gives_no_wrong_angle(device) -> None:
-    stage, wire, motor = opened(device)
+def test_a_cut_position_gives_no_wrong_angle() -> None:
+    stage, wire, motor = opened()
     stage.home()
     stage.move_to({"pan": 12.0})
     whole, cuts = wire.answer, [1]
 
     def cut(request: str) -> str:
         reply = whole(request)
-        if "12000" in reply or "0960" in reply:
+        if "0960" in reply:
             cuts[0] -= 1
             return reply[:-4] if cuts[0] >= 0 else reply
         return reply
@@ -141,14 +111,6 @@ def test_a_cut_position_gives_no_wrong_angle(device) -> None:
     assert stage.is_homed()
     stage.move_to({"pan": 1.0})
     assert motor.position_deg == 1.0
-
-
-def test_a_refusal_of_ludl_is_told_and_nothing_moves() -> None:
-    stage, _, motor = opened("ludl")
-    stage.home()
-    with pytest.raises(DeviceRefused, match="value out of range"):
-        stage.move_to({"pan": 14.5})
-    assert motor.position_deg == 0.0
 
 
 def test_a_device_that_never_ends_a_reply_is_refused(monkeypatch) -> None:

@@ -81,12 +81,6 @@ def test_closing_leaves_the_modem_lines_up(plug, port) -> None:
     assert not termios.tcgetattr(plug.theirs)[2] & termios.HUPCL
 
 
-def test_two_stop_bits_reach_the_line(plug) -> None:
-    port = SerialPort(str(plug.link), baudrate=115200, frame="8N2")
-    assert termios.tcgetattr(plug.theirs)[2] & termios.CSTOPB
-    port.close()
-
-
 def test_a_port_is_opened_once_only_in_one_process(plug, port) -> None:
     with pytest.raises(PortBusy, match="another program holds the port"):
         SerialPort(str(plug.link), baudrate=9600)
@@ -113,12 +107,6 @@ def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> No
 def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:
     with pytest.raises(PortNotFound, match=r"nowhere: .*no such port"):
         SerialPort(str(tmp_path / "nowhere"), baudrate=9600)
-
-
-def test_a_file_is_no_port(tmp_path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(PortNotFound, match="no serial port"):
-        SerialPort(str(tmp_path / "file"), baudrate=9600)
 
 
 def test_no_permission_is_told_with_its_remedy(plug, monkeypatch) -> None:

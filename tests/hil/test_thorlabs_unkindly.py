@@ -125,13 +125,6 @@ def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(r
     assert rig.true_deg() == pytest.approx(5.0, abs=1e-3)
 
 
-def test_a_limit_switch_is_named(rig) -> None:
-    rig.stage.home()
-    rig.order("pan limit")
-    with pytest.raises(MoveFailed, match="forward limit switch"):
-        rig.stage.move_to({"pan": 9.0})
-
-
 def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
     rig = rig_of("thorlabs")
     rig.stage.home()

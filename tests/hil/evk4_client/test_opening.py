@@ -31,19 +31,6 @@ def test_an_address_without_host_and_port_is_told(address):
         SimulatedEvk4Camera.open(address, clock=SystemClock(), utc_now=lambda: NOW)
 
 
-def test_biases_not_named_go_back_to_the_factory_value(peer, connect):
-    peer.biases["bias_fo"] = 30
-    assert connect().apply(CameraSettings()).biases["bias_fo"] == 0
-
-
-def test_an_unknown_bias_is_refused_before_anything_is_sent(peer, connect):
-    camera = connect()
-    asked = len(peer.asked)
-    with pytest.raises(CameraSettingRefused, match="no bias bias_wrong"):
-        camera.apply(CameraSettings({"bias_wrong": 1}))
-    assert len(peer.asked) == asked
-
-
 def test_a_bias_that_does_not_stick_is_noticed(peer, connect):
     peer.do_set_bias = lambda number, _: peer.answer(number)
     with pytest.raises(CameraSettingRefused, match="reads back"):

@@ -7,7 +7,7 @@ import pytest
 from camera_words import words_of
 
 from drivers.camera.raw_file import RawFile
-from drivers.errors import CameraError, CameraLost, RecordingFailed
+from drivers.errors import CameraLost, RecordingFailed
 from tests.hil.evk4_client.clocks import HurryingClock, SteppedClock
 
 
@@ -19,14 +19,6 @@ def test_the_file_is_a_header_and_the_cameras_own_words(connect, tmp_path):
     assert recording.header["date"] == "2026-11-20 04:05:06"
     assert recording.serial == "00050423"
     assert recording.scan().events == facts.events == 17
-
-
-def test_the_camera_is_told_how_many_frames_were_kept(peer, connect, tmp_path):
-    camera = connect()
-    camera.record(tmp_path / "pose.raw", 0.033)
-    assert peer.kept == 17
-    camera.record(tmp_path / "again.raw", 0.002)
-    assert peer.kept == 2
 
 
 def test_a_camera_that_goes_away_names_the_partial_file(peer, connect, tmp_path):
@@ -43,11 +35,6 @@ def test_a_fault_that_the_camera_reports_fails_the_recording(peer, connect, tmp_
     peer.before_frame[3] = lambda: peer.send(b"N", fault)
     with pytest.raises(RecordingFailed, match=r"sensor overheated.*pose\.raw"):
         connect().record(tmp_path / "pose.raw", 1.0)
-
-
-def test_other_notifications_are_let_pass(peer, connect, tmp_path):
-    peer.before_frame[3] = lambda: peer.send(b"N", b'{"event": "warm"}')
-    assert connect().record(tmp_path / "pose.raw", 0.02).complete
 
 
 def test_malformed_words_fail_the_recording_and_are_kept(peer, connect, tmp_path):
@@ -92,9 +79,3 @@ def test_a_deaf_camera_does_not_hold_up_the_way_out(peer, connect, tmp_path, mon
     peer.before_frame[3] = lambda: peer.send(b"D", b"\x00\x90")
     with pytest.raises(RecordingFailed, match="0x9000"):
         camera.record(tmp_path / "pose.raw", 1.0)
-
-
-def test_a_refused_start_is_told(peer, connect, tmp_path):
-    peer.do_start = lambda number, _: peer.refuse(number, "busy", "It is already streaming.")
-    with pytest.raises(CameraError, match="already streaming"):
-        connect().record(tmp_path / "pose.raw", 0.01)

@@ -94,10 +94,6 @@ class NativeBoard:
         self._process.stdin.flush()
         return tuple(map(float, self._process.stdout.readline().split()))
 
-    def wait_for_a_sign(self, within_s: float = 60.0) -> None:
-        """Wait until the board has sent something; it is left on the line."""
-        assert select.select([self._host_end], [], [], within_s)[0]
-
     def say(self, data: bytes | str, quiet_s: float = 0.15, within_s: float = 20.0, until: str = "") -> str:
         """Send bytes as they are; return what comes until the line is quiet for so long, or ``until`` has come."""
         os.write(self._host_end, data.encode("latin-1") if isinstance(data, str) else data)

@@ -163,12 +163,10 @@ def test_a_number_printed_with_at_least_four_digits_agrees_with_itself(value, di
     assert not quantity.agrees_with(value * 1.01)
 
 
-@pytest.mark.parametrize("digits", [6, 5, 4])
-@pytest.mark.parametrize(
-    "unit", [("", 1.0), ("HZ", 1.0), ("KHZ", 1e-3), (" kHz", 1e-3), ("MHZ", 1e-6), (" uHz", 1e6)]
-)
+@pytest.mark.parametrize("digits", [6, 4])
+@pytest.mark.parametrize("unit", [("", 1.0), (" kHz", 1e-3), ("MHZ", 1e-6)])
 @pytest.mark.parametrize("comma", [False, True])
-@pytest.mark.parametrize("frequency_hz", [50.0, 59.94, 123.456789])
+@pytest.mark.parametrize("frequency_hz", [50.0, 123.456789])
 def test_a_siglent_with_fewer_digits_and_other_units_is_taken_at_its_word(
     digits, unit, comma, frequency_hz
 ) -> None:

@@ -77,9 +77,6 @@ def test_an_unknown_kind_is_met_with_the_known_ones():
     ("light", "fault"),
     [
         ("{kind: lamp, watts: sixty}", "light.watts: must be a number (got 'sixty')."),
-        ("{kind: lamp, watts: }", "light.watts: must be a number (got nothing)."),
-        ("{kind: lamp, watts: [1]}", "light.watts: must be a number."),
-        ("{kind: lamp, watts: .nan}", "light.watts: must be a number (got '.nan')."),
         ("{kind: lamp, watts: inf}", "light.watts: must be a finite number (got 'inf')."),
         ("{kind: lamp, watts: '2,5'}", "light.watts: must be a number (got '2,5'). Write a decimal point."),
         (
@@ -102,7 +99,6 @@ def test_an_unknown_kind_is_met_with_the_known_ones():
             "{kind: lamp, watts: \u22125}",
             "light.watts: must be a number (got '\u22125'). Write the minus sign of the keyboard: -.",
         ),
-        ("{kind: lamp, watts: 0x10}", "light.watts: must be a number (got '0x10')."),
         (
             "{kind: lamp, watts: 2,5}",
             "light.5: unknown key. Write a decimal point, if this is a decimal: a comma separates.",
@@ -110,7 +106,6 @@ def test_an_unknown_kind_is_met_with_the_known_ones():
         ("{kind: lamp, watts: -1}", "light.watts: must be more than 0 (got '-1')."),
         ("{kind: laser, serial: {a: b}}", "light.serial: must be text."),
         ("{kind: laser, serial: x, on: maybe}", "light.on: must be true or false (got 'maybe')."),
-        ("[1, 2]", "light: must be a mapping (key: value)."),
         ("x", "light: must be a mapping (key: value) (got 'x')."),
     ],
 )
@@ -160,11 +155,6 @@ def test_an_unknown_key_is_compared_with_the_keys_of_its_own_kind_only():
     assert faults("format: test/1\nlight: {kind: lamp, watts: 1, serail: x}\n") == [
         "t.yaml:2:31: light.serail: unknown key. Known here: kind, watts."
     ]
-
-
-def test_a_long_value_is_quoted_in_part():
-    (message,) = faults(f"format: test/1\nlight: {{kind: lamp, watts: {'9x' * 500}}}\n")
-    assert len(message) < 150
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "[a, b]\n", "word\n"])

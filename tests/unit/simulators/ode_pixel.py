@@ -2,7 +2,6 @@
 
 import numpy as np
 from numba import njit
-from scipy.integrate import solve_ivp
 
 
 @njit
@@ -148,62 +147,4 @@ def solve_with_filters(
             times.append(t + step * (level - before) / (v - before))
             polarities.append(1 if v > reference else 0)
             live, waiting = times[-1] + dead, True
-    return times, polarities
-
-
-def solve_square_by_library(light, period, phase_us, low, high, duty, ambient, q, on, off, dead, begin, end):
-    """As ``solve_closely`` under a square light, by SciPy's DOP853 at a relative error of 1e-12 and its search for events.
-
-    Every part of a period, and every dead time in it, is an integration of its own.
-    """
-
-    def relaxed(t, until, u, events=()):
-        share = (0.5 * (t + until) + phase_us) / period % 1.0
-        intensity = ambient + light * (high if share < duty else low)
-        return solve_ivp(
-            lambda _, y: (1.0 - intensity * y) / q,
-            (t, until),
-            [u],
-            "DOP853",
-            events=events,
-            rtol=1e-12,
-            atol=1e-14,
-        )
-
-    def next_edge(t):
-        start = np.floor((t + 1e-9 + phase_us) / period) * period - phase_us
-        return next(e for e in (start + duty * period, start + period) if e > t + 1e-9)
-
-    def after(t, until, u):
-        while t < until:
-            edge = min(next_edge(t), until)
-            t, u = edge, relaxed(t, edge, u).y[0, -1]
-        return u
-
-    low_u, high_u = (after(begin, begin + period, u) for u in (0.0, 1.0))
-    t, u = begin, low_u / (1.0 - (high_u - low_u))
-    times, polarities = [], []
-    while t < end:
-        reference = -np.log(u)
-        crossing = None
-        while crossing is None and t < end:
-            edge = min(next_edge(t), end)
-
-            def hits_on(_, y, reference=reference):
-                return -np.log(y[0]) - reference - on
-
-            def hits_off(_, y, reference=reference):
-                return reference - off + np.log(y[0])
-
-            hits_on.terminal = hits_off.terminal = True
-            part = relaxed(t, edge, u, (hits_on, hits_off))
-            for polarity, hits in ((1, part.t_events[0]), (0, part.t_events[1])):
-                if len(hits):
-                    crossing = hits[0], polarity
-            t, u = part.t[-1], part.y[0, -1]
-        if crossing:
-            times.append(crossing[0])
-            polarities.append(crossing[1])
-            u = after(t, t + dead, u)
-            t += dead
     return times, polarities

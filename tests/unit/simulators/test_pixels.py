@@ -11,8 +11,6 @@ from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
 from tests.unit.simulators.ode_pixel import (
     solve,
-    solve_closely,
-    solve_square_by_library,
     solve_with_filters,
 )
 
@@ -45,24 +43,6 @@ def test_a_row_that_is_read_as_one_is_as_exact_in_the_tail_of_an_edge():
         errors.append(found_t + 0.5 - times)
         assert np.count_nonzero(events.y == y) == alike * len(times)
     assert np.abs(np.concatenate(errors)).max() <= 0.5 + 1.0
-
-
-@pytest.mark.parametrize(("q_us", "row"), [(20.0, 16), (60.0, 31), (200.0, 115)])
-def test_the_equations_solver_agrees_with_a_library_in_the_flat_tail_of_an_edge(q_us, row):
-    # Where an event comes so late in an edge that 1e-6 of the light moves it by a microsecond or more.
-    period, phase, setting = SQUARE.period_us, 0.37, PixelSettings(q_us=q_us)
-    scene = picture(150, 1, seed=int(q_us) + 1)
-    on, off = (
-        threshold[row, 0] for threshold in Sensor(1, 150, noise=MISMATCH_ONLY, camera_seed=3).thresholds
-    )
-    light = (float(scene[row, 0]), period, phase * period)
-    rest = (
-        SQUARE.low, SQUARE.high, 0.5, setting.ambient, q_us, on, off, setting.dead_us, -2 * period, 33_400.0
-    )  # fmt: skip
-    closely, polarities = solve_closely(*light, 0, *rest)
-    times, theirs = solve_square_by_library(*light, *rest)
-    assert theirs == polarities
-    assert np.abs(np.array(times) - closely).max() < 0.1
 
 
 @pytest.mark.parametrize(("follower_us", "corner_hz"), [(50.0, 0.0), (200.0, 0.0), (1.5, 20.0), (50.0, 60.0)])

@@ -108,8 +108,3 @@ def test_an_invalid_value_is_refused_by_its_key(night, where):
     with pytest.raises(ConfigError) as error:
         world(**night)
     assert error.value.where == where
-
-
-def test_a_section_that_is_no_mapping_is_refused():
-    with pytest.raises(ConfigError, match="mapping"):
-        RehearsedWorld({"rehearsal": 3}, 1)

@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from calib.stars.detect import detect_stars
 from calib.target import StarTarget
 from simulators.optics.collimator_errors import (
-    DEGREE,
-    POWER,
     RIM_FROM,
     RIM_OUTWARDS,
     aberrations_of,
@@ -99,19 +97,6 @@ def test_the_displacement_has_the_rms_asked_for_over_disc_and_poses():
         for pose in POSES
     ]
     assert np.sqrt(np.mean(squares)) == pytest.approx(0.02, rel=0.15)
-
-
-def test_polynomials_of_a_degree_carry_their_share():
-    shares = np.zeros(DEGREE + 1)
-    radius, turn = np.hypot(*DISC.T), np.arctan2(*DISC.T[::-1])
-    tilt = 2.0 * radius * np.cos(turn)
-    focus = np.sqrt(3.0) * (2.0 * radius**2 - 1.0)
-    for pose in POSES:
-        moved = over(DISC, field_coefficients(tuple(pose), 1.0, 0.0, 1))
-        shares[1] += (np.mean(moved * tilt[:, None], axis=0) ** 2).sum()
-        shares[2] += (np.mean(moved * focus[:, None], axis=0) ** 2).sum()
-    expected = np.array(POWER) / sum(POWER) / (np.arange(1, DEGREE + 1) + 1)
-    np.testing.assert_allclose(shares[1:3] / len(POSES), expected[:2], rtol=0.35)
 
 
 def test_near_poses_have_like_errors_and_distant_poses_do_not():

@@ -132,10 +132,6 @@ def test_decoding_into_arrays_refuses_a_malformed_first_word():
 # ---------------------------------------------------------------- the clock
 
 
-def test_a_new_time_high_starts_at_its_first_microsecond():
-    assert decode(high(1), low(7), high(2), row(0), event(0))[0] == [(8192, 0, 0, 0)]
-
-
 def test_the_clock_wraps_after_24_bits_and_times_go_on():
     events, _, statistics = decode(high(0xFFF), low(0xFFF), row(0), event(0), high(0), low(3), event(1))
     assert [t for t, *_ in events] == [LOOP_US - 1, LOOP_US + 3]
@@ -223,18 +219,6 @@ def test_the_clock_covered_counts_from_the_first_time_word():
 
 
 # ---------------------------------------------------------------- losses
-
-
-@pytest.mark.parametrize("parts", [2, 3])
-def test_rate_controller_counts_add_up_with_and_without_the_last_four_bits(parts):
-    words = [
-        *others(0x014, 5000, parts=parts),
-        *others(0x016, 4000, parts=parts),
-        *others(0x016, 1, parts=parts),
-    ]
-    events, _, statistics = decode(high(0), low(0), *words, row(0), event(1))
-    assert (statistics.rate_controller_in, statistics.rate_controller_out) == (5000, 4001)
-    assert len(events) == 1
 
 
 def reported(*windows, parts=3):

@@ -148,17 +148,6 @@ def test_a_bias_out_of_range_is_refused_before_it_is_sent(device, camera):
     assert device.configuration is before
 
 
-@pytest.mark.parametrize("value", [-100, 100])
-def test_biases_reach_the_ends_of_their_range(device, camera, value):
-    camera.apply(CameraSettings({"bias_hpf": value}))
-    assert device.configuration.biases.hpf == value
-
-
-def test_an_unknown_bias_is_refused(camera):
-    with pytest.raises(CameraSettingRefused, match="no bias bias_x"):
-        camera.apply(CameraSettings({"bias_x": 1}))
-
-
 def test_a_recording_holds_the_packets_and_covers_the_time(device, camera, tmp_path):
     path = tmp_path / "pose.raw"
     facts = camera.record(path, 0.033)

@@ -94,11 +94,6 @@ def test_a_disk_that_is_nearly_full_is_told_before_recording(tmp_path, monkeypat
         check_space(tmp_path / "a.raw")
 
 
-def test_a_file_that_is_not_there_needs_no_sync(tmp_path):
-    sync_file(tmp_path / "none.raw")
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_folder_that_may_not_even_be_looked_into_is_told(tmp_path, monkeypatch):
     def refuse(path, *_arguments, **_how):
         raise PermissionError(13, "Permission denied", str(path))

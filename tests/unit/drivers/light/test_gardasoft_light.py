@@ -115,18 +115,6 @@ def test_a_channel_that_shines_steadily_is_no_flicker(light) -> None:
         light.read()
 
 
-def test_an_event_is_told_and_darkness_too(light, bench) -> None:
-    light.apply(FLICKER)
-    light.on()
-    assert light.faults() == []
-    bench.device.trip()
-    bench.device.receive(b"TT0\r")
-    assert light.faults() == [
-        "the controller reports event Evt1,130; (see section 13.5 of its manual)",
-        "the light was switched on, but is off",
-    ]
-
-
 def test_a_trigger_that_does_not_obey_is_a_fault(light, bench) -> None:
     light.apply(FLICKER)
     bench.turn("TT1", "")
@@ -159,17 +147,3 @@ def test_a_period_beyond_all_numbers_is_no_period(light, bench) -> None:
     bench.line.spoil = lambda reply: reply.replace(b"TP ", b"TP " + 400 * b"9")
     with pytest.raises(ReplyError, match="no quantity TP"):
         light.read()
-
-
-@pytest.mark.parametrize(
-    ("given", "put"),
-    [(b", ", b" "), (b", ", b","), (b", ", b"; "), (b"ms, ", b"ms "), (b"IP ", b"IP"), (b"%", b" %")],
-)
-def test_fields_may_be_separated_in_other_ways(light, bench, given, put) -> None:
-    """The manual names the fields of ``STc`` (section 12.3.1), but what separates them differs between models."""
-    bench.line.spoil = lambda reply: reply.replace(given, put)
-    assert light.apply(FLICKER).high_v == 2.5
-    light.on()
-    assert bench.lit()
-    light.off()
-    assert not bench.lit()

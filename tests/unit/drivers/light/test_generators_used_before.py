@@ -8,38 +8,7 @@ from drivers.errors import SettingRefused
 from drivers.light import LightSettings
 from tests.unit.drivers.light.generator_bench import Bench
 
-MODES = ("BURS:STAT", "SWE:STAT", "AM:STAT", "FM:STAT", "FSK:STAT")
 OTHERS = pytest.mark.parametrize("dialect", ["keysight", "numbered", "siglent"])
-
-
-def use(bench: Bench, *refused: str) -> dict[str, str]:
-    """Let a generator make bursts, sweeps and modulate, upside down; return what of it is left on."""
-    left = dict.fromkeys(MODES, "ON") | {"OUTP:POL": "INV"}
-    receive = bench.line.device.receive
-
-    def answer(data: bytes) -> bytes:
-        header, _, value = data.decode().strip().partition(" ")
-        name = header.removeprefix("SOUR1:").replace("OUTP1", "OUTP")
-        if name in refused:
-            return receive(b"FREQ 1e12\n")  # one more error in its queue
-        if name not in left:
-            return receive(data)
-        if value in {"OFF", "NORM"}:
-            del left[name]
-        return b""
-
-    bench.line.device.receive = answer
-    return left
-
-
-@pytest.mark.parametrize("dialect", ["keysight", "numbered"])
-def test_the_signal_is_the_plain_one_that_was_asked_for(dialect) -> None:
-    bench = Bench(dialect)
-    left = use(bench)
-    light = bench.open()
-    assert set(left) == {*MODES, "OUTP:POL"}  # opening sets nothing
-    light.apply(LightSettings(frequency_hz=60.0))
-    assert left == {}
 
 
 def test_a_generator_without_such_modes_is_not_asked_for_them_again() -> None:
@@ -50,13 +19,6 @@ def test_a_generator_without_such_modes_is_not_asked_for_them_again() -> None:
     bench.line.sent.clear()
     light.apply(LightSettings(frequency_hz=50.0))
     assert "BURS:STAT OFF" not in bench.sent()
-
-
-def test_a_mode_that_does_not_go_off_is_told() -> None:
-    bench = Bench()
-    use(bench, "SWE:STAT")
-    with pytest.raises(SettingRefused, match=r"sweep is refused.*-222"):
-        bench.open().apply(LightSettings(frequency_hz=60.0))
 
 
 @OTHERS

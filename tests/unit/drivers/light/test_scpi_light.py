@@ -36,10 +36,6 @@ def test_another_serial_number_is_refused(bench) -> None:
     assert bench.commands() == []
 
 
-def test_a_serial_number_may_be_written_in_small_letters(bench) -> None:
-    assert bench.open(serial="sg0042").identify().serial == "SG0042"
-
-
 def test_a_flicker_is_set_in_the_generators_words(light, bench) -> None:
     assert light.apply(FLICKER) == FLICKER
     assert bench.settings_sent() == [
@@ -71,13 +67,6 @@ def test_a_value_clipped_in_silence_is_refused_with_both_values() -> None:
     quiet = Bench(error_queue=False).open()
     with pytest.raises(SettingRefused, match=r"frequency_hz: asked 1000000000\.0, got 80000000\.0"):
         quiet.apply(LightSettings(frequency_hz=1e9))
-
-
-def test_a_generator_without_error_queue_is_served_all_the_same() -> None:
-    light = Bench(error_queue=False).open()
-    assert light.apply(FLICKER) == FLICKER
-    light.on()
-    assert light.faults() == []
 
 
 def test_a_generator_without_load_setting_is_told_how_to_be_named(light, bench) -> None:
@@ -118,18 +107,6 @@ def test_an_output_that_does_not_go_off_is_a_fault(light, bench) -> None:
     with pytest.raises(LightFault, match="by hand"):
         light.off()
     assert bench.commands().count("OUTP OFF") == 2
-
-
-def test_an_output_that_goes_dark_by_itself_is_told(light, bench) -> None:
-    light.apply(FLICKER)
-    light.on()
-    assert light.faults() == []
-    bench.device.trip()
-    bench.device.receive(b"NONSENSE\n")
-    assert light.faults() == [
-        'the generator reports -113 "Undefined header"',
-        "the output was switched on, but is off",
-    ]
 
 
 def test_another_waveform_is_told_not_taken_for_one_of_ours(light, bench) -> None:
@@ -190,12 +167,6 @@ def test_an_answer_of_another_form_is_refused_by_the_siglent_way(part, wrong) ->
     bench.line.spoil = lambda reply: re.sub(part, wrong, reply)
     with pytest.raises(ReplyError):
         light.read()
-
-
-def test_the_wrong_dialect_is_told_by_the_instrument_itself(bench) -> None:
-    light = bench.open(dialect="numbered")
-    with pytest.raises(DriverError, match="-113"):
-        light.apply(FLICKER)
 
 
 def test_a_steady_level_that_reads_back_lower_is_refused(light, bench) -> None:

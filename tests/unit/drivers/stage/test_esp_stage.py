@@ -153,7 +153,6 @@ def cut_the_motors(bench: Bench) -> None:
             lambda bench: bench.answer("TB?", "103, STAMP, FOLLOWING ERROR", "0, STAMP, NO ERROR DETECTED"),
             r"following error beyond its threshold \(error 103\)",
         ),
-        (lambda bench: setattr(bench.pan.axis, "stuck_busy", True), "busy without progress"),
     ],
 )
 def test_a_move_that_goes_wrong_is_noticed_and_all_axes_are_stopped(bench, event, message) -> None:

@@ -7,7 +7,6 @@ import re
 import pytest
 
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError
-from drivers.stage.grbl_protocol import parse_build_info
 from simulators.stages.grbl import FIRMWARES
 from tests.unit.drivers.stage.grbl_bench import Bench
 
@@ -101,13 +100,6 @@ def test_a_board_that_reports_by_itself_is_stopped_and_homed_after_a_lost_reply(
     assert stage.position_deg() == TARGET
 
 
-def test_a_board_that_restarts_among_its_reports_has_no_reference(bench) -> None:
-    reports_by_itself(bench, 0.05)
-    stage = bench.homed()
-    bench.board.restart(bench.clock.now_s)
-    assert not stage.is_homed()
-
-
 @pytest.mark.parametrize("echo", [b"[echo: %s]\r\n", b"%s\r\n"])
 def test_a_board_that_echoes_its_lines_is_driven(bench, echo) -> None:
     """Grbl's config.h, REPORT_ECHO_LINE_RECEIVED; FluidNC's lineedit.cpp once a terminal has edited a line."""
@@ -117,15 +109,6 @@ def test_a_board_that_echoes_its_lines_is_driven(bench, echo) -> None:
         return (echo % data.strip() if data.endswith(b"\n") else b"") + receive(data)
 
     bench.line.device.receive = answer
-    runs(bench)
-
-
-@pytest.mark.parametrize("rate", [600.0, 900.0])
-def test_settings_that_are_read_only_in_words_are_so_too(rate) -> None:
-    """FluidNC's Error.cpp: error 162 is "Read-only setting"."""
-    bench = Bench(firmware="fluidnc")
-    bench.board.settings[110] = rate
-    bench.change(in_words)
     runs(bench)
 
 
@@ -266,14 +249,6 @@ def test_a_position_at_the_reference_outside_the_travel_ends_the_homing(position
     assert not any(data.startswith(b"$J") for data in bench.line.sent)
 
 
-def test_a_value_of_the_configuration_file_can_be_stated() -> None:
-    bench = FluidNc()
-    bench.configured["$/axes/x/homing/mpos_mm"] = "-3.000"
-    with pytest.raises(OutsideLimits, match=r"mpos_mm 0, .* -3\."):
-        bench.open(settings={"$/axes/x/homing/mpos_mm": 0.0})
-    bench.open(settings={"$/axes/x/homing/mpos_mm": -3.0})
-
-
 # ---------------------------------------------------------------- letters of the axes
 def board_with(letters: str) -> Bench:
     """Return a bench whose board tells the letters of its axes, as grbl-Mega-5X and grblHAL do."""
@@ -301,13 +276,6 @@ def test_the_order_of_axes_is_that_of_the_board(letters) -> None:
 def test_an_axis_that_the_board_does_not_name_is_refused() -> None:
     with pytest.raises(DeviceRefused, match=r"no axis B; .* X, Y, Z, A, C"):
         board_with("XYZAC").open("XB")
-
-
-def test_an_axis_behind_two_motors_of_another_has_its_own_place() -> None:
-    """Universal-G-Code-Sender issue 1659: A is the fifth of XYZYA."""
-    build = parse_build_info([b"[VER:1.1q.20210103:]\r\n", b"[AXS:5:XYZYA]\r\n"])
-    assert build is not None
-    assert build.letters.index("A") == 4
 
 
 def test_a_board_that_names_two_motors_once_is_refused(bench) -> None:

@@ -33,7 +33,8 @@ SCALE = 80.0
 MICROSTEPS = 256
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 MOTIONS = {b"move", b"movr", b"home", b"left", b"rigt"}
-ALARM = struct.pack("<5Bihqih5hIIB4x", 0, 1, 3, 4, 0x33, *[0] * 10, 0x60, 0, 1)
+
+
 """A status of an axis at rest in alarm."""
 
 
@@ -198,10 +199,6 @@ def halted(bench: Bench) -> None:
     bench.pan.axis.halt(bench.clock.now_s)
 
 
-def in_alarm(bench: Bench) -> None:
-    bench.answer(0, b"gets", ALARM)
-
-
 def failed(bench: Bench) -> None:
     halted(bench)
     status = bytearray(bench.settings(0, b"gets"))
@@ -214,10 +211,8 @@ def failed(bench: Bench) -> None:
     [
         (halted, "pan: stopped at .* from its target 9"),
         (lambda bench: bench.pan.axis.forget_reference(), "pan: the controller lost its reference"),
-        (in_alarm, "pan: alarm"),
         (failed, "pan: the controller reports that its move failed"),
         (lambda bench: bench.pan.receive(b"left"), r"pan: interrupted by another command \(left\)"),
-        (lambda bench: setattr(bench.pan.axis, "stuck_busy", True), "busy without progress"),
     ],
 )
 def test_a_move_that_goes_wrong_is_noticed_and_all_axes_are_stopped(bench, event, message) -> None:

@@ -128,13 +128,6 @@ def test_a_controller_from_the_factory_gets_its_checksums_and_keeps_them(bench) 
     assert bench.line.device.receive(b"/1 0 05 get comm.checksum\n").startswith(b"@01 0 05 OK IDLE -- 1:")
 
 
-def test_checksums_that_another_program_switches_off_are_told(bench) -> None:
-    stage = bench.homed()
-    bench.line.device.receive(b"/0 0 set comm.checksum 0\n")
-    with pytest.raises(ReplyError, match="without a checksum"):
-        stage.move_to({"pan": 5.0})
-
-
 @pytest.mark.parametrize("resolution", [32, 128])
 def test_another_resolution_is_refused_unless_the_station_states_it(bench, resolution) -> None:
     for controller in (bench.pan, bench.tilt):
@@ -243,17 +236,6 @@ def test_a_flag_hidden_behind_a_more_urgent_one_is_found_at_the_end(bench) -> No
     bench.line.once_moving(b" move ", lambda: bench.answer("01 warnings", 6, "02 WT NI"))
     with pytest.raises(MoveFailed, match="NI"):
         stage.move_to({"pan": 9.0})
-
-
-def test_a_controller_that_stays_busy_is_stopped_and_the_power_is_named(bench) -> None:
-    stage = bench.homed()
-    bench.line.once_moving(b" move ", lambda: setattr(bench.pan.axis, "stuck_busy", True))
-    before_s = bench.clock.now_s
-    with pytest.raises(MoveFailed, match="busy without progress") as caught:
-        stage.move_to({"pan": 9.0})
-    assert bench.clock.now_s - before_s < 6.0
-    assert "stop that followed" in str(caught.value)
-    assert "Cut the stage's power" in str(caught.value)
 
 
 # ---------------------------------------------------------------- the line, and stops

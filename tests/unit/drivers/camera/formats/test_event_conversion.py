@@ -2,7 +2,6 @@
 
 import os
 import zipfile
-from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -152,16 +151,6 @@ def test_what_evt3_has_no_bits_for_is_refused_not_cut_and_kept_in_hdf5(tmp_path,
     assert (ours.width, ours.height) == (theirs.width, theirs.height)
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "p", "words"),
-    [(2048, 0, 0, "column of 2048"), (0, 2048, 0, "row of 2048"), (0, 0, 2, "polarity of 2")],
-)
-def test_the_encoder_takes_no_event_that_would_become_another(x, y, p, words):
-    event = Events(np.zeros(1, np.int64), np.array([x], "u2"), np.array([y], "u2"), np.array([p], "u1"))
-    with pytest.raises(ValueError, match=words):
-        Evt3Encoder().words(event, empty_triggers(0))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_folder_that_is_not_there_is_told(tmp_path, kind):
     with pytest.raises(RecordingFileError, match=r"none.out: .*folder"):
@@ -224,16 +213,6 @@ def test_an_interrupt_leaves_neither_a_file_nor_a_part_of_one(raw, tmp_path, kin
     with pytest.raises(KeyboardInterrupt):
         convert(tmp_path / "pose.npz", tmp_path / "out", kind, progress=interrupt)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pose.npz", "pose.raw"]
-
-
-def test_a_name_that_somebody_takes_meanwhile_is_theirs(tmp_path):
-    with ExitStack() as writing:
-        writing.enter_context(new_file(tmp_path / "a")).write_bytes(b"ours")
-        (tmp_path / "a").write_bytes(b"theirs")
-        with pytest.raises(RecordingFileError, match="file exists already"):
-            writing.pop_all().close()
-    assert (tmp_path / "a").read_bytes() == b"theirs"
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_a_file_system_without_links_is_served_too(tmp_path, monkeypatch):

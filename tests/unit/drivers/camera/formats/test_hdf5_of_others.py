@@ -113,10 +113,6 @@ def test_every_filter_of_the_plugin_is_read(written, filter_of_plugin):
     assert_since(written(lambda file: dsec(file, **getattr(plugin, filter_of_plugin)())), YEAR_2020_US)
 
 
-def test_a_filter_of_hdf5_itself_is_read(written):
-    assert_since(written(lambda file: dsec(file, compression="lzf")), YEAR_2020_US)
-
-
 def test_a_filter_that_is_not_installed_is_named_with_the_package(tmp_path, monkeypatch):
     plugin = pytest.importorskip("hdf5plugin")
     with h5py.File(tmp_path / "events.h5", "w") as file:
@@ -239,11 +235,6 @@ def test_a_size_that_the_file_states_is_that_of_the_sensor(written, fill):
     assert (imported.width, imported.height) == SIZE
     with pytest.raises(NotARecording, match="contradict each other"):
         written(fill, ReadingChoices((1280, 720)))
-
-
-def test_a_file_without_any_stream_says_so():
-    with pytest.raises(NotARecording, match="no stream of events"):
-        ReadingChoices().chosen([])
 
 
 def test_a_missing_size_is_told_with_the_way_to_state_it(written):

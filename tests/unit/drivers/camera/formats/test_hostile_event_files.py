@@ -69,14 +69,6 @@ def text(file):
     file.create_dataset("events/t", data=[b"a"] * N)
 
 
-def texts_of_any_length(file):
-    file.create_dataset("events/t", (N,), h5py.string_dtype())
-
-
-def references(file):
-    file.create_dataset("events/t", (N,), h5py.ref_dtype)
-
-
 def missing_chunks(file):
     file.create_dataset("events/t", (N,), "i8", chunks=(100,))
 
@@ -110,8 +102,6 @@ HOSTILE = {
     external_storage: "events/t keeps its data in another file",
     virtual: "events/t keeps its data in another file",
     text: "events/t is an array of",
-    texts_of_any_length: "events/t is an array of object, not of numbers",
-    references: "events/t is an array of object, not of numbers",
     missing_chunks: "3000 of the 3000 rows of /events/t are missing",
     never_written: "events/t states 24000 bytes, but they are missing",
     two_dimensions: "events/t is an array of 3000 x 2; a list is needed",

@@ -10,11 +10,9 @@ from imported import import_events
 from made_event_files import DAT_HEAD, EVT2_HEAD, assert_same, dat_rows, evt2_words, evt21_words, some_events
 
 from drivers.camera.event_arrays import ReadingChoices
-from drivers.camera.formats.event_conversion import convert
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.prophesee_words import Evt2Decoder
 from drivers.camera.raw_check import WORD_BYTES
-from drivers.camera.raw_file import RawFile
 from drivers.errors import NotARecording, RecordingFileError
 
 ORIGIN_US = 1_700_000_000_000_000
@@ -183,15 +181,6 @@ def test_dat_times_go_on_where_their_counter_turns_over(tmp_path):
     path = tmp_path / "a.dat"
     path.write_bytes(dat_rows(rows))
     assert_same(import_events(path), rows)
-
-
-def test_evt2_is_converted_and_read_as_evt3(tmp_path):
-    path, raw = tmp_path / "a.raw", tmp_path / "b.raw"
-    path.write_bytes(evt2_words(0x8000_0002, 0x1000_0000 | 3 << 11 | 7, 0xA000_0001))
-    written = convert(path, raw, "raw")
-    assert (written.events, written.triggers) == (1, 1)
-    events, triggers = RawFile.open(raw).read()
-    assert (events.t.tolist(), events.x.tolist(), triggers.t.tolist()) == ([128], [3], [128])
 
 
 def test_memory_is_bounded_whatever_the_size(tmp_path):

@@ -55,14 +55,6 @@ def test_times_in_another_unit_are_refused_and_read_once_it_is_said(tmp_path, ma
     assert np.abs(t_us - T_US).max() <= (999 if t.max() == 200 else 1)
 
 
-@pytest.mark.parametrize("scale", [1000, 1e-3])
-def test_few_events_in_another_unit_are_refused_too(tmp_path, scale):
-    few = {name: values[::100] for name, values in OTHERS.items()}
-    np.savez(tmp_path / "a.npz", t=T_US[::100] * scale, **few)
-    with pytest.raises(NotARecording, match="unit"):
-        import_events(tmp_path / "a.npz", ReadingChoices(SIZE))
-
-
 @pytest.mark.parametrize("t", [T_US, T_US * 1e-6, T_US.astype("f8")])
 def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
     with open_events(npz(tmp_path, t), ReadingChoices(SIZE)) as source:
@@ -98,11 +90,6 @@ def test_times_in_us_with_parts_of_a_us_are_told_by_every_unit_that_fits(tmp_pat
         import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="ns"))
     t_us = import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="us")).events.t
     assert np.abs(t_us - T_US[::3]).max() <= 1
-
-
-def test_units_that_fit_alike_are_offered_in_the_order_of_their_rates(tmp_path):
-    with pytest.raises(NotARecording, match=r"--time-unit us, or ns\."):
-        import_events(npz(tmp_path, np.linspace(0, 1.3e6, N) // 1), ReadingChoices(SIZE, time_unit="ms"))
 
 
 def test_a_layout_whose_times_are_in_us_needs_no_guess(tmp_path):

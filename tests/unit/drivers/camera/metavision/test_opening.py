@@ -29,10 +29,6 @@ def test_missing_software_is_told_with_how_to_get_it(monkeypatch, clock):
         MetavisionEvk4.open(serial=SERIAL, clock=clock)
 
 
-def test_importing_the_driver_needs_no_vendor_software():
-    assert "metavision_hal" not in vars(metavision_driver)
-
-
 def test_connected_cameras_are_listed(devices):
     assert discover() == (FoundCamera("metavision", SERIAL, "Prophesee, USB_LINK, hal_plugin_prophesee"),)
 
@@ -184,15 +180,6 @@ def test_an_old_camera_that_was_unplugged_is_not_listed(monkeypatch, on_usb, lis
     assert len(discover()) == 1
     monkeypatch.setattr(metavision_discovery, "connected_cameras", lambda: on_usb)
     assert len(discover()) == listed
-
-
-def test_a_closed_standard_error_hides_the_cause_only(devices, clock, monkeypatch):
-    def closed(_number):
-        raise OSError(9, "Bad file descriptor")
-
-    monkeypatch.setattr(metavision_discovery.os, "dup", closed)
-    MetavisionEvk4.open(serial=SERIAL, clock=clock).close()
-    assert devices
 
 
 def test_a_camera_that_does_not_answer_is_named_without_waiting_again(devices, clock, monkeypatch):

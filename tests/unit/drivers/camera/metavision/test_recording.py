@@ -38,11 +38,6 @@ def test_a_camera_without_what_every_camera_has_is_told(device, camera, tmp_path
         camera.record(tmp_path / "pose.raw", 0.01)
 
 
-def test_what_the_camera_cannot_measure_is_left_out(camera, tmp_path):
-    assert camera.temperature_c() == 43.0
-    assert camera.record(tmp_path / "pose.raw", 0.01).illumination_lux is None
-
-
 def test_a_recording_holds_all_buffers_and_covers_the_time(device, camera, tmp_path):
     path = tmp_path / "pose.raw"
     facts = camera.record(path, 0.033)

@@ -86,11 +86,6 @@ def test_a_bias_that_does_not_stick_is_noticed(device, camera):
         camera.apply(CameraSettings({"bias_hpf": 7}))
 
 
-def test_an_unknown_bias_is_refused(camera):
-    with pytest.raises(CameraSettingRefused, match="no bias bias_pr"):
-        camera.apply(CameraSettings({"bias_pr": 1}))
-
-
 @pytest.mark.parametrize(
     ("missing", "message"), [(False, "trigger input stays off"), (True, "no trigger input")]
 )
