@@ -40,6 +40,7 @@ def light_outputs(folder):
     return [match[1] in {"ON", "1"} for match in switched if match]
 
 
+@pytest.mark.slow
 def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tmp_path, process):
     folder = tmp_path / "run"
     wait_for(process, folder, entering("settling"))

@@ -62,6 +62,7 @@ def journals(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("journal.jsonl"))}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(queue, tmp_path):
     (tmp_path / "files" / "short.yaml").write_text(
         QUEUE.replace("times: 3", "times: 1").partition("  - {name: b")[0]

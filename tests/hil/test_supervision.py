@@ -64,6 +64,7 @@ def night(tmp_path):
         yield tmp_path / "queue.yaml", tmp_path / "night", server
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run_is_finished(tmp_path, night):
     queue, folder, server = night
     process = start("batch", queue, "-o", folder, "--json", home=tmp_path / "home")
@@ -98,6 +99,7 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     assert "No device" in server.letters[0].get_content()  # they ended with the process
 
 
+@pytest.mark.slow
 def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_resumed(tmp_path, night):
     queue, folder, server = night
     process = start("batch", queue, "-o", folder, home=tmp_path / "home")

@@ -77,6 +77,7 @@ def test_noisy_views_give_it_within_the_stated_uncertainty(bench, count):
     assert [view.n for view in result.views] == [len(view) for view in views]
 
 
+@pytest.mark.slow
 def test_five_distortion_coefficients_can_be_asked_for(bench):
     result = calibrate(bench.views(), CalibrationOptions(distortion="k1k2k3p1p2", loss="l2"))
     assert result.parameter_names[4:9] == ("k1", "k2", "p1", "p2", "k3")
@@ -241,8 +242,10 @@ WIDE = {"fx": 420.0, "fy": 420.4, "poses": tuple((p, t) for t in (-20, 20) for p
 @pytest.mark.parametrize(
     ("lens", "distortion", "named"),
     [
-        (FisheyeBench, "k1k2", "fisheye"),
-        pytest.param(FisheyeBench, "fisheye", "", marks=pytest.mark.slow),
+        *(
+            pytest.param(FisheyeBench, *case, marks=pytest.mark.slow)
+            for case in (("k1k2", "fisheye"), ("fisheye", ""))
+        ),
         (Bench, "k1k2", ""),
     ],
 )
@@ -304,6 +307,7 @@ def test_views_that_hardly_determine_the_focal_length_are_named_weak(make_bench,
     assert not [note for note in strong.notes if "Weak" in note]
 
 
+@pytest.mark.slow
 def test_stars_count_by_their_covariances(bench):
     def scattered(view, rng, *, stated):
         """Every second star is off by 2 px, and says so or not."""
@@ -326,6 +330,7 @@ def test_stars_count_by_their_covariances(bench):
     assert _inside(silent, views, bench)[0].min() < 0.1
 
 
+@pytest.mark.slow
 def test_errors_too_small_to_be_gross_hardly_matter(bench):
     rng = np.random.default_rng(30)
     clean = bench.views(rng, 0.01)

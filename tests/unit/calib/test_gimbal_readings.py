@@ -27,7 +27,7 @@ def solved(bench, given, model="auto"):
     return calibrate(bench.views, CalibrationOptions(model=model, gimbal=given))
 
 
-@pytest.mark.parametrize("profile", ["ideal", "S3"])
+@pytest.mark.parametrize("profile", ["ideal", pytest.param("S3", marks=pytest.mark.slow)])
 def test_readings_determine_the_focal_length_without_a_certificate(profile):
     bench = draw_bench(profile, NINE, 11)
     result = solved(bench, readings(bench))
@@ -38,6 +38,7 @@ def test_readings_determine_the_focal_length_without_a_certificate(profile):
     assert expanded < 3.0
 
 
+@pytest.mark.slow
 def test_without_a_bound_of_the_parallax_readings_say_less_of_the_focal_length():
     bench = draw_bench("S3", THREE, 12)
     unbounded, bounded = solved(bench, readings(bench, bound=None)), solved(bench, readings(bench))
@@ -47,6 +48,7 @@ def test_without_a_bound_of_the_parallax_readings_say_less_of_the_focal_length()
     assert abs(unbounded.camera.fx - bench.truth.camera.fx) < expanded
 
 
+@pytest.mark.slow
 def test_poses_at_neighbouring_angles_of_an_axis_share_what_its_encoder_is_off():
     """Nine poses of a grid read three angles of each axis; nine poses apart read nine. There is no step between."""
     grids = [
@@ -83,9 +85,10 @@ def certified():
     ("change", "words"),
     [
         (each(lambda pose: {**pose, "pan_deg": 1.05 * pose["pan_deg"]}), "The pan axis turns 0.95"),
-        (
+        pytest.param(
             each(lambda pose: {**pose, "tilt_deg": pose["tilt_deg"] + (0.3 if pose["pan_deg"] > 1 else 0.0)}),
             "readings contradict the stars",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             lambda poses: [poses[0], poses[2], poses[1], *poses[3:]],
@@ -111,6 +114,7 @@ def test_readings_that_contradict_the_stars_are_named_and_change_nothing(certifi
     assert any(words in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_of_one_axis_is_named_and_changes_nothing():
     bench = draw_bench("S3", NINE, 15)
     result = solved(bench, readings(bench, change=each(lambda pose: {**pose, "pan_deg": -pose["pan_deg"]})))
@@ -161,6 +165,7 @@ def test_statements_out_of_range_are_refused(changed, fault):
         ParallaxBound(0.0, -0.1, 0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_a_certificate_and_readings_together_are_better_than_either():
     bench = draw_bench("S3", NINE, 17)
     given, certificate = readings(bench, scale_sigma=3e-4), Passport.of_radius(255.0, 0.05, length="seen")

@@ -50,7 +50,7 @@ def test_a_recording_that_is_there_twice_changes_nothing(profile, poses, options
     ("profile", "poses"),
     [
         ("like-bench", THREE),
-        ("like-bench", NINE),
+        pytest.param("like-bench", NINE, marks=pytest.mark.slow),
         pytest.param("like-real", THREE, marks=pytest.mark.slow),
     ],
 )
@@ -83,7 +83,9 @@ def test_repeats_of_a_pose_do_not_average_out_what_differs_from_pose_to_pose(pro
     assert (np.median(harm, axis=0) < 1.15)[asked].all()
 
 
-@pytest.mark.parametrize(("common_share", "factor"), [(0.0, 0.5), (1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("common_share", "factor"), [(0.0, 0.5), pytest.param(1.0, 1.0, marks=pytest.mark.slow)]
+)
 def test_noise_that_comes_again_in_repeats_does_not_count_as_new(common_share, factor):
     """Four repeats of an ideal bench, U being that of the noise: the variance that they share stays."""
     again = [

@@ -97,6 +97,7 @@ def test_points_roll_outwards_with_the_fourth_power():
     np.testing.assert_allclose(moved, [[0.0, 0.0], [0.2 / 16, 0.0], [0.2, 0.0]], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_picture_and_star_positions_agree_through_a_real_collimator():
     truth = Truth(
         camera=CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, width=128, height=72),

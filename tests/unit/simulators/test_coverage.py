@@ -123,7 +123,7 @@ SQUARE = LightState(waveform="square", output=True)
 WIDTH = 640
 
 
-@pytest.mark.parametrize("together", [4, WIDTH])
+@pytest.mark.parametrize("together", [pytest.param(4, marks=pytest.mark.slow), WIDTH])
 @pytest.mark.parametrize("reset_noise", [0.0, 0.01])
 def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(together, reset_noise, monkeypatch):
     noise = NoiseTruth(mismatch=0.0, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=reset_noise)

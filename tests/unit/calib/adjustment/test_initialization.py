@@ -175,7 +175,7 @@ def test_one_view_of_a_known_collimator_begins_at_its_camera(bench):
 # ---------------------------------------------------------------- degenerate views
 
 
-@pytest.mark.parametrize("noise_px", [0.0, 0.05])
+@pytest.mark.parametrize("noise_px", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
 @pytest.mark.parametrize(
     ("poses", "reason"),
     [
@@ -254,6 +254,7 @@ def test_glass_that_does_not_distort_leaves_the_start_as_it_is(bench):
     assert with_distorted_glass(bundle, start) is start
 
 
+@pytest.mark.slow
 def test_poses_that_the_search_parts_stay_as_they_were_found():
     bench = Bench(fx=2000.0, fy=2001.0, half_angle_deg=5.0, poses=tuple(map(tuple, NEARLY_ONE_POSE)))
     views = bench.views(np.random.default_rng(3), 2.0)

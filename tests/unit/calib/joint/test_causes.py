@@ -12,7 +12,11 @@ from tests.benchmarks.worlds.mistakes import MISTAKES, mistaken
     ("name", "words"),
     [
         ("camera knocked by 0.3 degrees", "The camera turned in its mount between the poses"),
-        ("pitch 4.2 instead of 4.0139 mm", "the pitch of the target is probably 0.95"),
+        pytest.param(
+            "pitch 4.2 instead of 4.0139 mm",
+            "the pitch of the target is probably 0.95",
+            marks=pytest.mark.slow,
+        ),
         # These two are told in test_gimbal_readings.py too, of benches that take less time.
         pytest.param(
             "sign of pan", "The sign of pan or of tilt is wrong in the station file", marks=pytest.mark.slow

@@ -150,6 +150,7 @@ def test_an_angle_to_a_face_of_the_mount_has_the_u_of_the_ray_and_of_the_face(be
     assert 2.0 < wider < 2.5
 
 
+@pytest.mark.slow
 def test_one_axis_alone_or_a_wrong_sign_gives_no_boresight():
     bench = draw_bench("ideal", NINE, 4)
     turned = [view for view, pose in zip(bench.views, NINE, strict=True) if pose["tilt"] == 0.0]

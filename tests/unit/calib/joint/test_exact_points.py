@@ -29,7 +29,9 @@ def views_with(noise_px: float) -> list[View]:
         ]
 
 
-@pytest.mark.parametrize("noise_px", [0.0, 1e-5, 1e-3])
+@pytest.mark.parametrize(
+    "noise_px", [0.0, *(pytest.param(px, marks=pytest.mark.slow) for px in (1e-5, 1e-3))]
+)
 def test_what_a_certificate_states_is_believed_however_exact_the_points_are(noise_px):
     certificate = Passport.of_radius(254.8747, 0.05, length="seen")
     result = calibrate(views_with(noise_px), CalibrationOptions(distortion="k1k2", passport=certificate))

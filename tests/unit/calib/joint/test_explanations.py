@@ -75,7 +75,8 @@ def test_where_the_parallax_is_bounded_there_is_one_way():
 
 
 @pytest.mark.parametrize(
-    ("world", "seed", "poses"), [("product-S1", 75, 3), pytest.param("S2", 73, 9, marks=pytest.mark.slow)]
+    ("world", "seed", "poses"),
+    [pytest.param(*case, marks=pytest.mark.slow) for case in (("product-S1", 75, 3), ("S2", 73, 9))],
 )
 def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(world, seed, poses):
     """A hand moved the camera, and the station states a gimbal. Certificate and scales were named; fx was 19 U wrong."""
@@ -95,6 +96,7 @@ def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(
         assert error < RIGHT_WITHIN * result.coverage_factors[name] * result.sigma[name]
 
 
+@pytest.mark.slow
 def test_what_is_expected_of_a_pupil_beside_the_axes_does_not_speak_for_a_bound_that_states_it_too():
     """A hand moved the camera. The odds are even. Where this datum counted for the bound alone, they were 1 to 10 million."""
     bench = WORLDS["product-S2"](77, 3, 1, 0)
@@ -104,6 +106,7 @@ def test_what_is_expected_of_a_pupil_beside_the_axes_does_not_speak_for_a_bound_
     assert 0.2 < probability["pupil and defocus"] < 0.8
 
 
+@pytest.mark.slow
 def test_shifted_ids_of_a_view_do_not_deny_the_bound():
     """Such ids imitate a hand. Without the bound the stars fit far better; with the right ids they fit better still."""
     line = ids_shifted(2)
@@ -136,6 +139,7 @@ def test_errors_of_poses_on_a_gimbal_are_not_taken_for_a_hand():
     assert all(other.share < 0.02 for other in mixture.others)
 
 
+@pytest.mark.slow
 def test_the_uncertainty_has_no_step_where_discs_begin_to_show_a_gimbal():
     """A threshold made U of fx 3.4 times as large from nine to twelve poses."""
     world, poses = draw_world(2), nested_poses(2)

@@ -108,6 +108,7 @@ def test_parts_of_the_budget_add_up_to_the_variance(optimum):
     assert all((part >= 0).all() for part in parts.values())
 
 
+@pytest.mark.slow
 def test_at_the_state_of_a_fault_nothing_is_said_of_a_state_far_away(views):
     """Before, what is expected without the fault was extrapolated over 6 % of the radius, and could count for most."""
     certified = replace(KNOWN, passport=Passport.of_radius(240.0, 0.05, length="seen"))
@@ -174,7 +175,9 @@ def test_the_expected_parallax_is_that_of_the_way_that_the_discs_show(bench, off
     assert (median > 0.06 * 0.06) == (off_mm > 15.0)
 
 
-@pytest.mark.parametrize("gimbal", [None, replace(READINGS, angles_deg=ANGLES[:3])])
+@pytest.mark.parametrize(
+    "gimbal", [None, pytest.param(replace(READINGS, angles_deg=ANGLES[:3]), marks=pytest.mark.slow)]
+)
 def test_stars_near_the_rim_count_as_much_as_they_scatter_and_those_at_it_hardly(bench, gimbal):
     rng = np.random.default_rng(8)
     clean, bent, rims = [], [], []
@@ -219,6 +222,7 @@ def test_errors_at_the_rim_that_come_again_in_each_pose_do_not_move_the_camera(b
     assert max(map(abs, off.values())) < 2.5, off
 
 
+@pytest.mark.slow
 def test_ideal_stars_give_the_truth(bench):
     result = calibrate(bench.views(poses=POSES[:3]), CalibrationOptions("joint"))
     for name in ("fx", "fy", "cx", "cy"):
@@ -227,7 +231,7 @@ def test_ideal_stars_give_the_truth(bench):
         assert error < 0.5
 
 
-@pytest.mark.parametrize("exactly", [1e-4, 1e-6, 1e-9])
+@pytest.mark.parametrize("exactly", [1e-4, pytest.param(1e-6, marks=pytest.mark.slow), 1e-9])
 def test_a_statement_of_which_nobody_else_knows_is_not_contradicted(views, exactly):
     exact = replace(READINGS, parallax=ParallaxBound(0.0, exactly, 0.0, 0.5))
     witnesses = calibrate(views, CalibrationOptions("joint", gimbal=exact)).witnesses
@@ -301,14 +305,18 @@ def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right
 
 
 @pytest.mark.parametrize("known", [KNOWN, replace(KNOWN, gimbal=None)], ids=["with readings", "alone"])
-@pytest.mark.parametrize("times", [0.5, 0.8, 0.86, 1.14, 2.0])
+@pytest.mark.parametrize(
+    "times", [1.14, *(pytest.param(times, marks=pytest.mark.slow) for times in (0.5, 0.8, 0.86, 2.0))]
+)
 def test_the_certificate_of_another_collimator_is_refused(views, times, known):
     other = Passport.of_radius(255.0 * times, 0.05, length="seen")
     with pytest.raises(InputMismatch, match=r"the views alone show about 25\d mm"):
         calibrate(views, replace(known, passport=other))
 
 
-@pytest.mark.parametrize("certified_mm", [224.4, 245.0, 275.0])
+@pytest.mark.parametrize(
+    "certified_mm", [275.0, *(pytest.param(mm, marks=pytest.mark.slow) for mm in (224.4, 245.0))]
+)
 def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothing(certified_mm):
     """An eighth too short: fx was wrong by as much, with U of 5 px and no note. 8 % too long: U was 249 px.
 
@@ -434,6 +442,7 @@ def test_what_a_station_states_of_the_pupil_hardly_adds_to_the_uncertainty_of_th
     assert all(with_readings[name] < 1.2 * by_certificate[name] for name in ("fx", "fy", "cx", "cy"))
 
 
+@pytest.mark.slow
 def test_two_statements_that_fail_at_once_are_both_named():
     """The focal length drifts; the scale of tilt alone would explain most of it, with cy 38 px wrong at U 5 px."""
     line = radius_drifts(7)

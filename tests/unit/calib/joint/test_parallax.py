@@ -34,7 +34,10 @@ def largest_error_over_u(bench, result):
     )
 
 
-@pytest.mark.parametrize(("off_mm", "defocus"), [(30.0, 0.06), (-30.0, 0.06), (15.0, -0.1)])
+@pytest.mark.parametrize(
+    ("off_mm", "defocus"),
+    [(30.0, 0.06), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((-30.0, 0.06), (15.0, -0.1)))],
+)
 def test_a_well_corrected_collimator_may_be_out_of_focus(off_mm, defocus):
     """Nothing is stated. Field curvature explains the views too, less probably: fx was 16 px wrong at U 12 px."""
     result = calibrate(recorded(WIDE, (0.0, 0.0, off_mm), defocus, RASTER, 5), CalibrationOptions())
@@ -91,7 +94,13 @@ def test_a_search_keeps_what_shifted_the_image_where_it_starts():
     assert abs(line["error"]["fx"]) < line["U"]["fx"] < 3.0
 
 
-@pytest.mark.parametrize(("poses", "seed", "known"), [(3, 423, "r"), (3, 420, "cr"), (9, 425, "cr")])
+@pytest.mark.parametrize(
+    ("poses", "seed", "known"),
+    [
+        (3, 423, "r"),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((3, 420, "cr"), (9, 425, "cr"))),
+    ],
+)
 def test_the_coma_of_a_pupil_that_is_stated_far_off_the_pivot_is_no_distortion(poses, seed, known):
     """It grows with the square of how far the pupil moves. Expected as small as near the pivot: 2.3 to 6.6 U wrong."""
     line = drawn_result("raytraced-far", poses, seed, known)
@@ -100,7 +109,7 @@ def test_the_coma_of_a_pupil_that_is_stated_far_off_the_pivot_is_no_distortion(p
     assert line["U"]["fx"] < 15.0
 
 
-@pytest.mark.parametrize("seed", [423, 428])
+@pytest.mark.parametrize("seed", [423, pytest.param(428, marks=pytest.mark.slow)])
 def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen(seed):
     """The pupil is far before the pivot. Views alone cannot show that, and fx is several U wrong."""
     unstated, stated = (drawn_result("raytraced-far", 3, seed, known)["notes"] for known in ("0", "r"))
@@ -114,6 +123,7 @@ def test_a_search_that_began_far_away_begins_again_where_it_ended():
     assert abs(line["error"]["cy"]) < 2.0 * line["U"]["cy"] < 40.0
 
 
+@pytest.mark.slow
 def test_coma_that_a_far_pupil_sees_is_no_other_focal_length():
     """Nine poses tell the two apart, since that of round glass has a fixed shape. With a free one U of fx was 113 px.
 

@@ -137,6 +137,7 @@ def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera(seeds):
     assert sum(share > 1.0 for share in over) <= 1
 
 
+@pytest.mark.slow
 def test_readings_beside_visible_discs_of_a_mount_moved_by_hand_give_a_covariance():
     bench = draw_bench("S1", THREE, 202)
     readings = GimbalReadings(tuple(bench.readings_deg), 0.002, 2e-4, source="drawn")
@@ -196,6 +197,7 @@ def test_spread_is_how_far_the_camera_moves_with_the_pupils(optimum):
     assert sigmas == pytest.approx(theirs, rel=0.25)  # residuals bend what the differences see
 
 
+@pytest.mark.slow
 def test_places_before_fields_that_are_zero_but_hardly_known_move_the_camera_too(optimum):
     """On average over such fields as far as places move it with fields that are known."""
     marginal, columns = optimum.marginal, optimum.marginal.problem.bench.layout.by_turn.columns

@@ -42,6 +42,7 @@ def chain(optimum):
     return np.array(steps).T
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_that_of_a_markov_chain_over_the_amplitudes(optimum, chain):
     """At the best amplitudes alone it is a third smaller."""
     mixture, (steps, sigmas) = posterior(modes_of(optimum), 100), chain

@@ -118,7 +118,10 @@ def test_sound_views_are_not_doubted(count, seed, noise_px):
 
 @pytest.mark.parametrize(
     ("world", "count"),
-    [("polynomial", 3), ("product", 9), pytest.param("S1", 9, marks=pytest.mark.slow), ("S2", 3)],
+    [
+        ("polynomial", 3),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("product", 9), ("S1", 9), ("S2", 3))),
+    ],
 )
 def test_right_ids_behind_a_real_collimator_are_not_doubted(world, count):
     drawn = WORLDS[world](705, count, 1, 0)
@@ -133,6 +136,7 @@ def test_two_shifted_views_of_six_are_named_together():
     assert shifts_of(cause) == {("pose-002", 1, 0), ("pose-005", 0, -2)}
 
 
+@pytest.mark.slow
 def test_of_two_views_nobody_can_tell_which_is_shifted():
     """The parallax is bounded: otherwise it may explain the shift."""
     views = bench(2, count=2)
@@ -165,7 +169,7 @@ def test_a_certificate_is_not_blamed_for_a_shifted_view():
         calibrate(views, options_for(drawn, "cr"))
 
 
-@pytest.mark.parametrize("chosen", [(1, 5, 9), (0, 3, 7, 11, 15, 19)])
+@pytest.mark.parametrize("chosen", [(1, 5, 9), pytest.param((0, 3, 7, 11, 15, 19), marks=pytest.mark.slow)])
 def test_real_aberrations_are_not_taken_for_shifted_ids(collimator_recordings, chosen):
     views = read(collimator_recordings)
     assert doubts([views[i] for i in chosen]) == []
@@ -175,7 +179,9 @@ def moved(view, by):
     return replace(view, points_px=view.points_px + by)
 
 
-@pytest.mark.parametrize(("by", "along"), [(0.5, "right and down"), (-0.5, "left and up")])
+@pytest.mark.parametrize(
+    ("by", "along"), [(0.5, "right and down"), pytest.param(-0.5, "left and up", marks=pytest.mark.slow)]
+)
 def test_a_few_views_with_another_origin_are_named(by, along):
     views = bench(4, 0.005, 8)
     for place in (1, 4):
@@ -185,7 +191,9 @@ def test_a_few_views_with_another_origin_are_named(by, along):
     assert cause.value == pytest.approx(0.5, abs=2 * cause.expanded)
 
 
-@pytest.mark.parametrize(("noise_px", "named"), [(0.01, True), (0.05, False)])
+@pytest.mark.parametrize(
+    ("noise_px", "named"), [pytest.param(0.01, True, marks=pytest.mark.slow), (0.05, False)]
+)
 def test_an_offset_that_noise_could_explain_is_not_named(noise_px, named):
     """In the noisier views, half a pixel is less than 3 standard uncertainties."""
     views = bench(0, noise_px, 8)
@@ -194,6 +202,7 @@ def test_an_offset_that_noise_could_explain_is_not_named(noise_px, named):
     assert bool(doubts(views)) == named
 
 
+@pytest.mark.slow
 @settings(max_examples=2, deadline=None)
 @given(seed=st.integers(0, 999), count=st.integers(2, 8))
 def test_views_of_one_origin_are_not_doubted(seed, count):

@@ -47,7 +47,7 @@ def rms(points, centres):
     return float(np.sqrt(((points - centres) ** 2).mean()))
 
 
-@pytest.mark.parametrize("roll", [0.4, 17.0])
+@pytest.mark.parametrize("roll", [pytest.param(0.4, marks=pytest.mark.slow), 17.0])
 def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
     image, centres, shape = stars(roll)
     whole = np.full((len(centres), 2), SYMMETRY_REACH)

@@ -50,6 +50,7 @@ def test_a_camera_that_did_not_change_is_called_wrong_in_about_one_case_of_twent
     assert 0.01 <= share_not_right(0.0, 150) <= 0.10
 
 
+@pytest.mark.slow
 def test_the_larger_the_change_the_more_often_it_is_found():
     half, single, three = (share_not_right(change, 50) for change in (0.5, 1.0, 3.0))
     assert half <= single <= three

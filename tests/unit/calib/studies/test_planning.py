@@ -74,6 +74,7 @@ def test_poses_chosen_at_once_are_as_good_as_those_chosen_one_by_one():
     assert len({tuple(pose.angles_deg.values()) for pose in at_once}) == 8
 
 
+@pytest.mark.slow
 def test_poses_chosen_from_nothing_beat_random_ones():
     rng = np.random.default_rng(92)
     candidates = [

@@ -88,6 +88,7 @@ def test_cameras_that_share_no_pose_have_no_relative_rotation(bench):
         through_collimator(first, replace(second, views=renamed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "least", "off_by"), [(12, 0.88, 3.0), pytest.param(40, 0.92, 1.5, marks=pytest.mark.slow)]
 )
@@ -103,6 +104,7 @@ def test_drawn_rigs_lie_within_their_uncertainty_in_19_of_20_cases(count, least,
     assert np.mean(squares) == pytest.approx(6.0, abs=off_by)
 
 
+@pytest.mark.slow
 def test_intrinsics_may_be_adjusted_with_the_rig():
     inside = []
     for seed in range(6):
