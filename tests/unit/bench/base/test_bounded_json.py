@@ -42,7 +42,7 @@ def test_what_has_a_usual_depth_is_read(kind):
 @pytest.mark.parametrize("levels", [MOST_LEVELS + 1, 1_000_000])
 @pytest.mark.parametrize(("begin", "end"), [("[", "]"), ('{"a":[', "]}")])
 def test_what_is_nested_too_deeply_is_refused_with_a_sentence(levels, begin, end):
-    with pytest.raises(ValueError, match="nested too deeply: more than 100 levels"):
+    with pytest.raises(ValueError, match="more than 100 levels"):
         parse_json(nested(levels, begin, end))
 
 

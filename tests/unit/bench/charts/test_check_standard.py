@@ -61,7 +61,7 @@ def test_a_standard_out_of_control_or_not_measured_in_time_is_a_problem(
 @pytest.mark.parametrize("facts", [{"station": "Bench 2"}, {"simulated": False}])
 def test_runs_of_another_station_or_kind_do_not_count(home, tmp_path, facts):
     now = measured(home, tmp_path, **facts)
-    assert standard_problem(station(), home, now).endswith("has no result on this station.")
+    assert standard_problem(station(), home, now).endswith("on this station.")
 
 
 @pytest.mark.parametrize(

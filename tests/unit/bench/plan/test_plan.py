@@ -54,7 +54,7 @@ def as_filled_in(station: str, folder: Path) -> str:
 def test_an_example_is_refused_until_it_is_filled_in_and_then_runs(station, missing, tmp_path):
     made = make_plan(*load_documents("turntable", station))
     assert len(made.faults) == missing
-    assert all("this value is missing (placeholder" in fault.message for fault in made.faults)
+    assert all("(placeholder" in fault.message for fault in made.faults)
     filled = make_plan(*load_documents("turntable", as_filled_in(station, tmp_path)))
     assert (filled.faults, filled.remarks) == ((), ())
     assert len(filled.poses) == 7
@@ -68,7 +68,7 @@ GOOD = "steps: [light, {move: {pan_deg: 1}}, settle, record, {move: {pan_deg: 2}
 def test_every_shipped_sequence_runs_on_every_shipped_station(path, station, tmp_path):
     made = make_plan(*load_documents(path.stem, as_filled_in(station, tmp_path)))
     if path.stem == "parallax_test" and "example" in station:  # the rim is out of reach of this stage
-        assert all("is outside the limits of the station" in fault.message for fault in made.faults)
+        assert all("outside the limits" in fault.message for fault in made.faults)
         assert len(made.faults) > 0
         return
     assert (made.faults, made.remarks) == ((), ())
@@ -248,7 +248,7 @@ def test_a_pose_that_looks_past_the_beam_is_remarked_and_drawn_outside_of_it():
 
 def test_angles_that_look_like_radians_are_remarked():
     (remark,) = planned(GOOD.replace("pan_deg: 2", "pan_deg: 0.79")).remarks
-    assert "all poses lie within 0.21 degrees" in remark.message
+    assert "within 0.21 degrees" in remark.message
 
 
 def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
@@ -383,7 +383,7 @@ def test_an_axis_that_the_simulated_stage_lacks_is_named_by_the_plan():
     roll = tilt.replace("tilt:", "roll:").replace("100102", "100103").replace("device: 2", "device: 3")
     station = check_document(text.replace(tilt, tilt + roll.lstrip("\n")).encode(), "b.yaml", Station)
     (fault,) = faults(GOOD, station)
-    assert "The simulated stage has no axis roll. Name it here: roll: {}." in fault
+    assert "no axis roll" in fault
 
 
 def test_a_loss_that_the_model_does_not_use_is_said_by_the_plan_and_not_listed_as_used():

@@ -83,7 +83,7 @@ def test_it_cannot_begin_from_nothing_without_expectations(tmp_path):
 
 def test_a_start_outside_the_limits_and_recordings_in_the_dark_are_refused(tmp_path):
     faults = planned(tmp_path, "{expanded_fx_px: 1, start: [{pan_deg: 40}, {pan_deg: 1}]}").faults
-    assert any("pan 40 deg is outside the limits" in fault.message for fault in faults)
+    assert any("pan 40 deg" in fault.message for fault in faults)
     path = tmp_path / "dark.yaml"
     path.write_text(
         "format: starbench/sequence/1\nname: t\n"
@@ -217,5 +217,5 @@ def test_a_variable_without_a_source_is_an_error_that_does_not_show_it(environ, 
 
 @pytest.mark.parametrize("words", [{}, {"source": "0", "source_env": "CAM"}])
 def test_a_camera_has_one_source(words):
-    with pytest.raises(ValueError, match="either source or source_env"):
+    with pytest.raises(ValueError, match="source or source_env"):
         camera(**words)

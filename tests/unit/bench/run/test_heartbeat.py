@@ -162,37 +162,22 @@ def test_a_lost_supervisor_is_reported_once(monkeypatch, tmp_path, supervisor, t
 # ---------------------------------------------------------------- a busy computer
 
 
-class LateClock:
-    """A clock of a computer that loses a share of the time."""
-
-    def __init__(self, share):
-        self.now_s = 0.0
-        self._share = share
-
-    def monotonic(self):
-        return self.now_s
-
-    def lateness(self):
-        return {"lost_s": self._share * self.now_s, "load": 19.5}
-
-
-class Log:
-    """Keeps what is written."""
-
-    def __init__(self):
-        self.lines = []
-
-    def write(self, event, **data):
-        self.lines.append((event, data))
+def watched():
+    """A watch of a computer, the computer's clock, and the lines that the watch writes."""
+    clock, lines = SimpleNamespace(now_s=0.0, lateness=lambda: {"lost_s": 0.0}), []
+    clock.monotonic = lambda: clock.now_s
+    log = SimpleNamespace(write=lambda event, **data: lines.append((event, data)))
+    return BusyWatch(log, clock), clock, lines
 
 
 def lines_of(share, seconds):
-    clock, log = LateClock(share), Log()
-    watch = BusyWatch(log, clock)
+    """The lines about a computer that loses a share of its time."""
+    watch, clock, lines = watched()
+    clock.lateness = lambda: {"lost_s": share * clock.now_s, "load": 19.5}
     while clock.now_s < seconds:
         clock.now_s += 0.5
         watch.look()
-    return log.lines
+    return lines
 
 
 def test_a_computer_that_is_late_for_half_of_the_time_is_too_busy():
@@ -201,22 +186,21 @@ def test_a_computer_that_is_late_for_half_of_the_time_is_too_busy():
     data = lines[0][1]
     assert (data["late_s"], data["window_s"]) == (5.0, 10.0)
     text = line_text(Entry(1, "2026-03-01T12:02:06.000000Z", 1.0, Event.COMPUTER_BUSY, data, "", ""))
-    assert text.startswith("12:02:06 UTC  this computer is too busy: it was 5.0 s late in 10 s (load 19.5)")
+    assert all(fact in text for fact in ("12:02:06 UTC", "5.0 s late in 10 s", "load 19.5"))
 
 
 def test_a_busy_computer_that_sleeps_is_told_at_once():
-    clock, log = LateClock(0.5), Log()
-    watch = BusyWatch(log, clock)
-    clock.now_s = WINDOW_S
+    watch, clock, lines = watched()
+    clock.now_s, clock.lateness = WINDOW_S, lambda: {"lost_s": 5.0}
     watch.look()
     clock.now_s += WINDOW_S + 14.0
     clock.lateness = lambda: {"lost_s": 24.0, "longest_s": 14.0}
     watch.look()
-    assert [data["lateness"].get("longest_s") for _, data in log.lines] == [None, 14.0]
+    assert [data["lateness"].get("longest_s") for _, data in lines] == [None, 14.0]
     clock.now_s += WINDOW_S
     clock.lateness = lambda: {"lost_s": 34.0, "longest_s": 14.0}
     watch.look()
-    assert len(log.lines) == 2
+    assert len(lines) == 2
 
 
 @pytest.mark.parametrize(("share", "seconds", "told"), [(0.5, 2 * REPEAT_S, 2), (0.2, 300.0, 0)])

