@@ -24,7 +24,7 @@ from bench.again.compare import (
     limits_of_values,
 )
 from bench.base.bounded_json import canonical_json
-from bench.base.errors import BenchError, RunFolderError, StorageError
+from bench.base.errors import BenchError, RunFolderError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.measure.views_file import VIEWS, StoredView, read_views, views_file
 from bench.record.recovery import EXPORTS
@@ -65,18 +65,13 @@ def maker_of(results: Mapping[str, Any], used: Mapping[str, Any]) -> Maker:
     return Maker(used, calibration.get("engine") if isinstance(calibration, Mapping) else None)
 
 
-def compare_files(folder: Path, made: MadeAgain, used: Mapping[str, Any], findings: Findings) -> None:
+def compare_files(folder: Path, made: MadeAgain, maker: Maker, findings: Findings) -> None:
     """Compare results and views of a folder with those made again, then, if these agree, report and exports."""
-    before, run = len(findings.faults), StoredRun(folder)
-    try:
-        stored = run.results_as_written
-        maker = maker_of(stored, used)
-        _compare_results(stored, made.results, maker, findings)
-    except (StorageError, RunFolderError, *UNREADABLE) as error:
-        findings.fault("results", RESULTS, f"the results are incomplete ({error!r})")
-        return
+    run = StoredRun(folder)
+    with findings.unreadable("results", RESULTS, "the results are incomplete"):
+        _compare_results(run.results_as_written, made.results, maker, findings)
     held = _compare_views(folder / VIEWS, made.views, maker, findings)
-    if held is None or len(findings.faults) > before:
+    if held is None or findings.faults:
         return  # report and exports follow from results and views that are wrong
     try:
         due = shown_files(run.results, run.calibration, made.camera_name, made.target, held, made.head)
@@ -89,7 +84,9 @@ def compare_files(folder: Path, made: MadeAgain, used: Mapping[str, Any], findin
     names = {f"{EXPORTS}/{path.name}" for path in (folder / EXPORTS).glob("*")}
     for name in sorted({*due, *names}):
         kind, makers = ("report", _REPORT_BY) if name == REPORT else ("exports", _EXPORTS_BY)
-        compare_file(folder / name, name, due.get(name), kind, other_software(used, makers), findings)
+        compare_file(
+            folder / name, name, due.get(name), kind, other_software(maker.software, makers), findings
+        )
 
 
 def _compare_results(
@@ -194,11 +191,9 @@ def _first_difference(had: bytes, due: bytes, of: str) -> str:
 
 def compare_plan(folder: Path, due: Mapping[str, Any], used: Mapping[str, Any], findings: Findings) -> None:
     """Compare plan.json with the plan of the run's documents, except the names of files: the copies have others."""
-    try:
+    with findings.unreadable("plan", PLAN, "the file cannot be read"):
         seen = differences(_without_names(read_json(folder / PLAN)), _without_names(due))
         judge("plan", PLAN, seen, Maker(used), findings)
-    except (StorageError, *UNREADABLE) as error:
-        findings.fault("plan", PLAN, f"the file cannot be read ({error!r})")
 
 
 def _without_names(plan: Mapping[str, Any]) -> dict[str, Any]:

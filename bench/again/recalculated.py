@@ -7,10 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.again.files import MadeAgain, compare_file, compare_files
+from bench.again.files import MadeAgain, compare_file, compare_files, maker_of
 from bench.base.bounded_json import parse_json
-from bench.base.errors import BenchError, StorageError
-from bench.evidence.findings import UNREADABLE, Findings
+from bench.evidence.findings import Findings
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import read_signature
 from bench.record.run_folder import PASSPORT_COPY, RESULTS, SIGNATURE, SOURCES
@@ -21,9 +20,7 @@ from bench.solve.offline_folder import SealedBy, offline_files, source_data
 from bench.solve.offline_options import StationFile, passport_of_file
 from bench.solve.results_content import other_software
 from bench.solve.sources import options_of_data
-from calib.errors import CalibrationError
 from calib.target import StarTarget
-from drivers.errors import DriverError
 
 
 def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findings:
@@ -32,42 +29,40 @@ def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findi
     ``progress`` is told how many views of all have been found.
     """
     findings = Findings()
-    try:
-        described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
-        used = stored["run"]["software"]
-        if stored["sources"] != described["sources"]:
-            findings.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
-            return findings
-        if why := _cannot(described):
-            findings.not_compared.append(f"{RESULTS} with its sources: {why}")
-            return findings
-        again = _calibrated(folder, described, progress)
-        pairs = zip(again.sources, again.views, strict=True)
-        sources = [source_data(source, view.name) for source, view in pairs]
-        if sources != described["sources"]:
-            why = "the paths hold other files now than those that were calculated from"
-            findings.not_compared.append(f"{RESULTS} with its sources: {why}")
-            return findings
-        files = offline_files(again, str(stored["run"]["id"]), _sealer(folder, stored), sources=sources)
-        results = parse_json(files[RESULTS])
-        results["run"] |= {name: stored["run"][name] for name in ("calibrated_utc", "software")}
-    except (BenchError, CalibrationError, DriverError) as error:
-        findings.fault("results", RESULTS, f"its sources cannot be calibrated again: {error}")
-        return findings
-    except (StorageError, *UNREADABLE) as error:
-        findings.fault("results", RESULTS, f"it cannot be compared with its sources ({error!r})")
-        return findings
+    with findings.unreadable("results", RESULTS, "it cannot be compared with its sources"):
+        _compare(folder, progress, findings)
+    return findings
+
+
+def _compare(folder: Path, progress: Reached, findings: Findings) -> None:
+    described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
+    used = stored["run"]["software"]
+    if stored["sources"] != described["sources"]:
+        findings.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
+        return
+    if why := _cannot(described):
+        findings.not_compared.append(f"{RESULTS} with its sources: {why}")
+        return
+    again = _calibrated(folder, described, progress)
+    pairs = zip(again.sources, again.views, strict=True)
+    sources = [source_data(source, view.name) for source, view in pairs]
+    if sources != described["sources"]:
+        why = "the paths hold other files now than those that were calculated from"
+        findings.not_compared.append(f"{RESULTS} with its sources: {why}")
+        return
+    files = offline_files(again, str(stored["run"]["id"]), _sealer(folder, stored), sources=sources)
+    results = parse_json(files[RESULTS])
+    results["run"] |= {name: stored["run"][name] for name in ("calibrated_utc", "software")}
     for name in (SOURCES, PASSPORT_COPY):
         other = other_software(used)
         compare_file(folder / name, name, files.get(name), "results", other, findings, "the sources")
     target = again.board or again.target
     made = MadeAgain(results, again.stored_views, str(described["camera_name"]), target)
-    compare_files(folder, made, used, findings)
-    return findings
+    compare_files(folder, made, maker_of(stored, used), findings)
 
 
 def _sealer(folder: Path, stored: Mapping[str, Any]) -> SealedBy | None:
-    """Return who sealed the results, by the key of their signature; None if they name nobody. Raises ``UNREADABLE``."""
+    """Return who sealed the results, by the key of their signature; None if they name nobody."""
     stated = stored["run"].get("sealed_by")
     if stated is None:
         return None
@@ -87,7 +82,7 @@ def _cannot(described: Mapping[str, Any]) -> str:
 
 
 def _calibrated(folder: Path, described: Mapping[str, Any], progress: Reached) -> OfflineResult:
-    """Calibrate the sources again. Raises the errors of the reader and of the engine, and one of ``UNREADABLE``."""
+    """Calibrate the sources again."""
     stored, passport = described["options"], None
     station = None if described["station"] is None else StationFile(**described["station"])
     if stored["passport"] is not None:

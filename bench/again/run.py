@@ -6,8 +6,8 @@ written.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 from bench.again.compare import Difference, Maker, differences, judge
 from bench.again.files import MadeAgain, compare_files, compare_plan, maker_of
 from bench.base.bounded_json import canonical_json, parse_json
-from bench.base.errors import BenchError, RunFolderError
+from bench.base.errors import BenchError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.measure.measure import Measurement
 from bench.measure.verdict import judged
@@ -23,7 +23,6 @@ from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from bench.record.history import Attempt, History, replay
-from bench.record.journal_line import Entry
 from bench.record.run_folder import (
     JOURNAL,
     PASSPORT_COPY,
@@ -54,13 +53,12 @@ _NUMBERS = f"{RESULTS}, exports and {REPORT}"
 class _Evidence:
     """What a run folder states of the making of its results."""
 
-    folder: Path
+    run: StoredRun
     job: Job
     # History of the run up to the moment when its results were made; of the whole run if it has none.
     history: History
     head: str  # Hash of the journal's line that the report prints; empty if the run has no results
     maker: Maker  # By the engine that the results state, and the software that the journal states
-    results: Mapping[str, Any] = field(default_factory=dict)  # As written; empty if the run has none
 
 
 def check_run_again(folder: Path, progress: Reached = nothing_shown) -> Findings:
@@ -94,8 +92,8 @@ def check_run_again(folder: Path, progress: Reached = nothing_shown) -> Findings
         return findings
     if other := other_software(evidence.maker.software):
         findings.remarks.append(f"the results were made with {other}")
-    if (made := _made_again(evidence, measured, findings)) is not None:
-        compare_files(folder, made, evidence.maker.software, findings)
+    with findings.unreadable("results", RESULTS, "the run cannot be calibrated again"):
+        compare_files(folder, _made_again(evidence, measured, findings), evidence.maker, findings)
     return findings
 
 
@@ -118,23 +116,18 @@ def _planned_again(run: StoredRun, findings: Findings) -> Job | None:
 
 
 def _read(run: StoredRun, job: Job, findings: Findings) -> _Evidence | None:
-    """Read the results of a run, and the journal up to their making; None if that fails, which ``findings`` tells."""
+    """Read the journal up to the making of the results; None, and a fault, if it does not tell of that."""
     entries = list(run.entries)
-    if not run.has_results:
-        return _Evidence(run.folder, job, run.history, "", Maker(run.history.started.get("software", {})))
-    head = _head(entries)
-    at = next((number for number, entry in enumerate(entries, start=1) if entry.hash == head), None)
-    if at is None:
+    head = next((str(e.data.get("head")) for e in reversed(entries) if e.event == Event.WRITTEN), "")
+    made_at = [number for number, entry in enumerate(entries, start=1) if entry.hash == head]
+    if head and not made_at:
         findings.fault("report", REPORT, "the report names no line of this journal")
         return None
-    try:
-        results = run.results_as_written
-    except RunFolderError as error:
-        findings.fault("results", RESULTS, error.what.rstrip("."))
-        return None
-    begun = [entry for entry in entries[:at] if entry.event in {Event.RUN_STARTED, Event.RUN_RESUMED}]
-    maker = maker_of(results, begun[-1].data.get("software", {}))
-    return _Evidence(run.folder, job, replay(entries[:at]), head, maker, results)
+    until = entries[: made_at[0]] if made_at else entries
+    begun = [entry for entry in until if entry.event in {Event.RUN_STARTED, Event.RUN_RESUMED}]
+    used = begun[-1].data.get("software", {})
+    maker = maker_of(run.results_as_written, used) if head else Maker(used)
+    return _Evidence(run, job, replay(until), head, maker)
 
 
 def _job(folder: Path, history: History) -> Job:
@@ -145,13 +138,6 @@ def _job(folder: Path, history: History) -> Job:
     if planned.faults:
         raise ValueError("; ".join(str(fault) for fault in planned.faults))
     return Job.from_plan(planned, seed=history.started["seed"], operator=history.started["operator"])
-
-
-def _head(entries: Sequence[Entry]) -> str:
-    """Return the hash of the journal's line that the report prints, as the journal states it; empty if it does not."""
-    return next(
-        (str(entry.data.get("head")) for entry in reversed(entries) if entry.event == Event.WRITTEN), ""
-    )
 
 
 def _check_steps(job: Job, history: History, findings: Findings) -> None:
@@ -178,14 +164,14 @@ def _check_attempts(evidence: _Evidence, findings: Findings, progress: Reached) 
     seen: list[Difference] = []
     for done, attempt in enumerate(attempts):
         progress(done, len(attempts))
-        path = evidence.folder / str(attempt.stored["capture"])
+        path = evidence.run.folder / str(attempt.stored["capture"])
         if not path.is_file():
             findings.remarks.append(
                 f"{attempt.stored['capture']} was lost before the run was resumed, so it was not measured again"
             )
             continue
         _check_camera(path, attempt, findings)
-        again = measure_again(evidence.job, evidence.folder, attempt)
+        again = measure_again(evidence.job, evidence.run.folder, attempt)
         if attempt.accepted and again.view is not None:
             kept[attempt.pose_index] = again
         if attempt.checked is None:
@@ -223,32 +209,21 @@ def _due_verdict(job: Job, attempt: Attempt, again: Measurement) -> dict[str, An
     return {**verdict, "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})}}
 
 
-def _made_again(
-    evidence: _Evidence, measured: dict[int, Measurement], findings: Findings
-) -> MadeAgain | None:
-    """Calibrate again, as the run did; None if that fails, which ``findings`` then tells."""
-    job, history = evidence.job, evidence.history
+def _made_again(evidence: _Evidence, measured: dict[int, Measurement], findings: Findings) -> MadeAgain:
+    """Calibrate again, as the run did."""
+    job, history, run = evidence.job, evidence.history, evidence.run
     done = [s for s in job.steps if isinstance(s, SolveStep) and s.number in history.done_steps]
     if not done:
-        findings.fault("results", RESULTS, "the journal tells of no solve step")
-        return None
-    used = evidence.maker.software
-    try:
-        solution = solve_run(job, evidence.folder, done[-1], history, measured)
-        truth = simulated_truth(job.station, job.seed)
-        results = results_content(job, history, solution, truth, used)
-        stored = evidence.results.get("previous")
-        if stored is not None and history.ledger:
-            results["previous"] = _previous_again(stored, results)
-    except (BenchError, CalibrationError, DriverError) as error:
-        findings.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
-        return None
-    except UNREADABLE as error:
-        findings.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
-        return None
+        raise ValueError("the journal tells of no solve step")
+    solution = solve_run(job, run.folder, done[-1], history, measured)
+    truth = simulated_truth(job.station, job.seed)
+    results = results_content(job, history, solution, truth, evidence.maker.software)
+    stored = run.results_as_written.get("previous")
+    if stored is not None and history.ledger:
+        results["previous"] = _previous_again(stored, results)
     _check_causes(evidence, solution.calibration, findings)
-    made = parse_json(canonical_json(results))
-    return MadeAgain(made, solution.views, job.camera_name, job.target, evidence.head)
+    content = parse_json(canonical_json(results))
+    return MadeAgain(content, solution.views, job.camera_name, job.target, evidence.head)
 
 
 def _previous_again(stored: Mapping[str, Any], results: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import RunFolderError
-from bench.evidence.findings import UNREADABLE, Findings
+from bench.evidence.findings import Findings
 from bench.record.run_folder import JOURNAL, RESULTS
 from bench.record.stored_run import StoredRun
 from bench.report.verdict import verdict
@@ -22,35 +21,28 @@ def check_verdict(folder: Path) -> Findings:
     A verdict by another version of the program is not compared: its rules and its words may have been others.
     """
     findings, run = Findings(), StoredRun(folder)
-    if not (folder / RESULTS).is_file():
-        return findings
-    try:
-        results = run.results
-        due = verdict(results)
-        made = results["run"]["software"]
-        repeated = _repeated(results)
-    except RunFolderError as error:
-        findings.fault("results", RESULTS, error.what.rstrip("."))
-        return findings
-    except UNREADABLE as error:
-        findings.fault("results", RESULTS, f"the results give no verdict ({error!r})")
-        return findings
-    solved = run.history.solved
+    if run.has_results:
+        with findings.unreadable("results", RESULTS, "the results give no verdict"):
+            _compare(run, findings)
+    return findings
+
+
+def _compare(run: StoredRun, findings: Findings) -> None:
+    due, solved = verdict(run.results), run.history.solved
+    repeated = _repeated(run.results)
     told = {**solved, "causes": causes_without_earlier_run(solved)}
     for name in repeated.keys() & told.keys():
         if told[name] != repeated[name]:
-            findings.fault(
-                "journal", JOURNAL, f"its {name} of the calibration differs from that of the results"
-            )
-    if other_software(made, ["program"]):
-        return findings
+            what = f"its {name} of the calibration differs from that of the results"
+            findings.fault("journal", JOURNAL, what)
     stated = run.history.verdict
+    if other_software(run.results["run"]["software"], ["program"]):
+        return
     if stated is None:
         findings.fault("journal", JOURNAL, "it has no verdict; this version of the program writes one")
     elif (stated["kind"], stated["headline"]) != (due.kind, due.line):
         what = f"its verdict is {stated['headline']!r} ({stated['kind']})"
         findings.fault("journal", JOURNAL, f"{what}; by the results it is {due.line!r} ({due.kind})")
-    return findings
 
 
 def _repeated(results: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from bench.base.encoding import counted
 from bench.base.errors import BenchError, UsageError
 from bench.commands.options import OPERATOR, command, status_text
 from bench.commands.output import JSON, print_findings, show
-from bench.evidence.authorisations import entered_authorisations, lost_authorisations
+from bench.evidence.authorisations import lost_authorisations
 from bench.evidence.ledger_check import sealed_strangers
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.ledger_marks import EXPLAIN, Break, runs_of
@@ -77,7 +77,7 @@ def _check() -> int:
         facts |= {"lines": len(entries), "runs": len(runs), "head": head}
         faults += [
             *bench_own.faults_and_remedies(),
-            *lost_authorisations(entered_authorisations(bench_own)),
+            *lost_authorisations(bench_own.home),
         ]
         notes += [
             f"{entry.data['what']}. Reason, stated by {entry.data['by']}: {entry.data['reason']}"

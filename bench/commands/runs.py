@@ -17,7 +17,7 @@ from bench.commands.ledger import ledger_findings
 from bench.commands.options import RunChoice, command, run_options, status_text
 from bench.commands.output import JSON, print_findings, show
 from bench.commands.workers import CountLine
-from bench.evidence.authorisations import entered_authorisations, lost_authorisations
+from bench.evidence.authorisations import lost_authorisations
 from bench.evidence.findings import State
 from bench.evidence.listed_states import listed_states
 from bench.evidence.merged_runs import LedgerSource, MergedRuns, merge_ledgers, merge_runs, read_source
@@ -86,7 +86,7 @@ def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list
     broken, notes = ledger_findings(ledger)
     return (
         listed,
-        [*faults, *missing, *broken, *lost_authorisations(entered_authorisations(ledger))],
+        [*faults, *missing, *broken, *lost_authorisations(ledger.home)],
         notes,
     )
 

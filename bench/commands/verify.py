@@ -31,7 +31,6 @@ from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.folder_kinds import folder_kind
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
-from bench.evidence.seal import kind_of
 from bench.evidence.verify import verify_folder
 from bench.record.ledger import bench_ledger
 from bench.record.run_folder import JOURNAL
@@ -213,7 +212,7 @@ def _ended(
 
 def again_line(folder: Path) -> PartsLine:
     """Return the line for a folder whose sources are measured again, and which is then calculated again."""
-    things = "recordings measured again" if kind_of(folder) == "run" else "views found again"
+    things = "recordings measured again" if folder_kind(folder).name == "run" else "views found again"
     return PartsLine(things, "the results are calculated again", quiet=wants_json())
 
 

@@ -57,13 +57,6 @@ def enter_authorisation(ledger: Ledger, folder: Path, person: str, fingerprint: 
     return True
 
 
-def entered_authorisations(ledger: Ledger) -> Known:
-    """Return the authorisations that a ledger names; empty if it is missing or cannot be read."""
-    with suppress(BenchError):
-        return _authorisations(ledger.entries())
-    return NOTHING_KNOWN
-
-
 def known_authorisations(home: Path) -> Known:
     """Return the authorisations that this bench's ledger names; empty if it is missing or cannot be read."""
     path = home / LEDGER
@@ -127,9 +120,9 @@ def compare_authorisation(folder: Path, known: Known) -> Findings:
     return findings
 
 
-def lost_authorisations(known: Known) -> list[str]:
-    """Compare all folders that the ledger names as authorised, as far as they are still there."""
-    lost = []
+def lost_authorisations(home: Path) -> list[str]:
+    """Compare all folders that this bench's ledger names as authorised, as far as they are still there."""
+    known, lost = known_authorisations(home), []
     for folder in sorted(
         {authorised.folder for named in known.values() for authorised in named if authorised.folder}
     ):

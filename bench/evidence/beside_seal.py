@@ -1,8 +1,7 @@
 """Read and add the reserved files beside a seal. The sealed folder stays read-only.
 
 A file appears whole or not at all: it is written without a name and synced, then linked under its name.
-Linking never replaces a file. Where the file system has no files without a name, a temporary file is
-used; the next attempt removes one that a died process left behind.
+Linking never replaces a file. Where the file system has no files without a name, it is written as every new output.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import errno
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
@@ -19,13 +18,11 @@ from bench.base.pasteable import pasteable
 from bench.evidence.seal import RESERVED
 from bench.record.storage import storage_errors
 from drivers.durable import sync_folder, write_all
-from drivers.new_output import TEMPORARY
+from drivers.new_output import new_output
 
 MOST_BYTES = 1 << 20
 """Signatures and time stamps have some kilobytes; a larger file is not read."""
 _NO_TMPFILE = {errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT}
-_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
-"""Errors of file systems without hard links, such as FAT."""
 _MODE, _FOLDER_MODE = 0o444, 0o555  # Read-only for all, as the sealed files
 
 
@@ -50,7 +47,6 @@ def add_beside(folder: Path, name: str, data: bytes) -> None:
     path = folder / name
     with storage_errors(path):
         with _writable(folder):
-            (folder / f".{name}{TEMPORARY}").unlink(missing_ok=True)
             try:
                 write_and_link(path, data)
             except FileExistsError as error:
@@ -79,7 +75,7 @@ def write_and_link(path: Path, data: bytes) -> None:
     except (AttributeError, OSError) as error:
         if isinstance(error, OSError) and error.errno not in _NO_TMPFILE:
             raise
-        write_and_rename(path, data)
+        write_named(path, data)
         return
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -92,24 +88,11 @@ def write_and_link(path: Path, data: bytes) -> None:
         os.close(folder)
 
 
-def write_and_rename(path: Path, data: bytes) -> None:
-    """Write a file under another name, sync it, and give it its name."""
-    part = path.with_name(f".{path.name}{TEMPORARY}")
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _MODE)
-    try:
-        try:
-            _fill(descriptor, data)
-        finally:
-            os.close(descriptor)
-        try:
-            os.link(part, path)
-        except OSError as error:
-            if error.errno not in _NO_LINKS or path.exists():
-                raise
-            part.rename(path)
-    finally:
-        with suppress(FileNotFoundError):
-            part.unlink()
+def write_named(path: Path, data: bytes) -> None:
+    """Write a file as every new output is written."""
+    with new_output(path) as part:
+        part.write_bytes(data)
+        part.chmod(_MODE)
 
 
 def _fill(descriptor: int, data: bytes) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from enum import StrEnum
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.encoding import printable_line
+from bench.base.errors import BenchError
+from calib.errors import CalibrationError
+from drivers.errors import DriverError
 
 UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
 """Exceptions raised by reading JSON that is not of the expected form."""
@@ -46,6 +50,16 @@ class Findings:
         """Add a fault."""
         self.faults.append(SealFault(kind, where, what))
 
+    @contextmanager
+    def unreadable(self, kind: str, where: str, what: str) -> Iterator[None]:
+        """End the block with a fault where it cannot read content, or cannot calculate with it."""
+        try:
+            yield
+        except (BenchError, CalibrationError, DriverError) as error:
+            self.fault(kind, where, f"{what}: {error}")
+        except UNREADABLE as error:
+            self.fault(kind, where, f"{what} ({error if type(error) is ValueError else repr(error)})")
+
     def add(self, other: Findings) -> None:
         """Add everything that another check found."""
         self.faults += other.faults
@@ -66,7 +80,7 @@ found. It is called only while no check has found a fault, so it may rely on the
 it cannot read is a fault, never an exception; only StorageError and OSError may leave it."""
 
 Derivations = Mapping[str, Sequence[Derivation]]
-"""The derivations of each kind of folder (`bench.evidence.seal.kind_of`)."""
+"""The derivations of each kind of folder (`bench.evidence.folder_kinds`)."""
 
 
 class State(StrEnum):

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.base.errors import BenchError, JournalBroken, UsageError
-from bench.evidence.ledger_check import is_sealed_by, own_public_keys
+from bench.evidence.ledger_check import is_sealed_by, other_seal, own_public_keys
 from bench.evidence.public_half import KEY_FILE
 from bench.record.journal_line import Entry
 from bench.record.ledger import LEDGER, Ledger
 from bench.record.ledger_marks import LedgerRun, runs_of
 from bench.record.run_facts import IN_LEDGER, NO_LEDGER, NOT_IN_LEDGER, IndexedRun, RunPlace
-from bench.record.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
+from bench.record.run_folder import JOURNAL, MANIFEST, RESULTS
 from bench.record.run_index import RunIndex
 from bench.record.storage import sha256_of
 
@@ -151,7 +151,8 @@ def merge_runs(
         merged.runs.append(kept)
         merged.places[kept.folder] = _place(kept, entered)
         if entered is not None:
-            merged.faults += _changed(kept, entered)
+            named = f"run {entered.run.number} of {entered.bench}"
+            merged.faults += [f"{named}: {what}" for what in other_seal(Path(kept.folder), entered.run)]
     if not only_folders:
         unread = {str(path.resolve()) for path in [*folders, *present]} - {run.folder for run in runs}
         _name_missing(merged, ledgers.entered, by_head, runs, unread)
@@ -206,27 +207,6 @@ def _hash_of(path: Path) -> str | None:
         return sha256_of(path) if path.is_file() else None
     except (BenchError, OSError):
         return None
-
-
-def _changed(run: IndexedRun, entered: EnteredRun) -> list[str]:
-    """Compare a folder with what the ledger enters."""
-    stated, folder = entered.run, Path(run.folder)
-    changes = []
-    named = f"run {stated.number} of {entered.bench} ({run.folder})"
-    pairs = (
-        ("number", run.ledger_number, stated.number),
-        ("simulated", run.simulated, stated.simulated),
-        ("camera", run.camera or stated.camera, stated.camera or run.camera),
-    )
-    for what, here, there in pairs:
-        if here != there:
-            changes.append(f"{named}: its journal states the {what} {here}, the ledger {there}")
-    if stated.seal is not None:
-        if not is_sealed(folder):
-            changes.append(f"{named}: the ledger states a seal, but the folder has none: it was removed")
-        elif _hash_of(folder / MANIFEST) != stated.seal:
-            changes.append(f"{named}: {MANIFEST} is not the sealed one: the folder was changed after sealing")
-    return changes
 
 
 def _name_missing(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from bench.base.errors import EvidenceError
+from bench.record.storage import read_bounded
 
 Line = TypeVar("Line")
 _WRITABLE_BY_OTHERS = 0o022  # Mode bits of group and others
@@ -40,26 +41,14 @@ def refuse_writable_by_others(path: Path, what: str) -> None:
 def read_list(path: Path, what: str) -> str:
     """Read a list on which the trust rests: text of at most 16 MB that other users cannot change."""
     refuse_writable_by_others(path, what)
-    if not path.is_file():  # a pipe would never answer
-        raise EvidenceError(
-            f"{what[0].upper()}{what[1:]} is not a file.",
-            where=str(path),
-            remedy="Copy it into a file, and name that.",
-        )
-    with path.open("rb") as stream:
-        data = stream.read(_MOST_BYTES + 1)
     try:
-        text = data.decode("utf-8")
-        if len(data) <= _MOST_BYTES:
-            return text
-        why = f"it has more than {_MOST_BYTES >> 20} MB"
-    except UnicodeDecodeError:
-        why = "it is not text"
-    raise EvidenceError(
-        f"{what[0].upper()}{what[1:]} cannot be read: {why}.",
-        where=str(path),
-        remedy="Expected is one key a line, in OpenSSH's format; a binary list (KRL) is not supported.",
-    )
+        return read_bounded(path, _MOST_BYTES).decode()
+    except UnicodeDecodeError as error:
+        raise EvidenceError(
+            f"{what[0].upper()}{what[1:]} is not text.",
+            where=str(path),
+            remedy="Expected is one key a line, in OpenSSH's format; a binary list (KRL) is not supported.",
+        ) from error
 
 
 def refuse_readable_by_others(path: Path) -> None:

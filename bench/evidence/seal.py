@@ -92,11 +92,6 @@ NOT_LISTED = frozenset({MANIFEST, SIGNATURE, *RESERVED})
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 
 
-def kind_of(path: Path) -> str:
-    """Return what a folder is, by its content: ``run``, ``certificate``, ``results`` (recalculated) or ``files``."""
-    return folder_kind(path).name
-
-
 def instructions(kind: FolderKind, *, principal: str, fingerprint: str) -> str:
     """Return the text of ``VERIFY.txt`` for a folder of this kind, sealed by this bench."""
     return _TEXT.format(

@@ -9,14 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.beside_seal import read_beside
-from bench.evidence.findings import UNREADABLE, Derivations, Findings, Verification
+from bench.evidence.findings import Derivations, Findings, Verification
 from bench.evidence.folder_kinds import folder_kind, markers
 from bench.evidence.journal_check import check_journal
 from bench.evidence.key_trust import Trust
@@ -24,7 +23,6 @@ from bench.evidence.seal import (
     INSTRUCTIONS,
     NOT_LISTED,
     instructions,
-    kind_of,
     list_files,
     read_manifest,
 )
@@ -145,7 +143,7 @@ def verify_folder(
     derivations: Derivations | None = None,
     again: bool = False,
 ) -> Verification:
-    """Check a sealed folder: a run, a certificate, recalculated results, or any other (`bench.evidence.seal.kind_of`).
+    """Check a sealed folder: a run, a certificate, recalculated results, or any other (`bench.evidence.folder_kinds`).
 
     ``derivations`` gives for each kind further checks, called in order with the folder alone, while no check has found
     a fault; they return `Findings`. ``trust`` comes from `read_trust`, or is trusted keys alone. ``now`` has its time
@@ -160,7 +158,7 @@ def verify_folder(
             where=str(folder),
             remedy="Name the folder that a run, a certificate or recalculated results were written to.",
         )
-    kind = kind_of(folder)
+    kind = folder_kind(folder).name
     trusted = trust if isinstance(trust, Trust) else Trust(tuple(trust))
     with storage_errors(folder):
         verification = standing_of(folder, trusted, now or datetime.now(UTC), at=at)
@@ -170,7 +168,7 @@ def verify_folder(
         captures = (
             check_journal(folder, manifest, verification) if kind == "run" and manifest is not None else None
         )
-        _results(folder, manifest, captures, camera_serial, verification)
+        _results(folder, captures, camera_serial, verification)
         derive_with = (derivations or {}).get(kind, ())
         if derivations is not None and not derive_with:
             verification.not_compared.append(
@@ -182,44 +180,28 @@ def verify_folder(
 
 def _results(
     folder: Path,
-    manifest: Mapping[str, str] | None,
     captures: Mapping[str, Capture] | None,
     camera_serial: str | None,
     verification: Verification,
 ) -> None:
-    """Take run and camera from the results, and check that journal and list of files name the same recordings.
-
-    ``captures`` is None without a journal.
-    """
+    """Take run and camera from the results, and check that the journal, if there is one, names the same recordings."""
     path = folder / RESULTS
     if path.is_symlink() or not path.is_file():
         return  # the journal tells whether a run must have results
-    try:
+    with verification.unreadable("results", RESULTS, "the file cannot be read"):
         recordings = _read_facts(read_json(path), verification)
-    except StorageError as error:
-        verification.fault("results", RESULTS, f"{error.what[0].lower()}{error.what[1:].rstrip('.')}")
-        return
-    except UNREADABLE as error:
-        verification.fault(
-            "results",
-            RESULTS,
-            f"the file cannot be read ({error if type(error) is ValueError else repr(error)})",
-        )
-        return
-    sources: dict[str, Mapping[str, str]] = {}
-    if captures is not None:
-        sources["the journal"] = {name: capture.sha256 for name, capture in captures.items()}
-        sources |= {} if manifest is None else {MANIFEST: manifest}
-    for (name, sha256), (source, hashes) in product(recordings, sources.items()):
-        if hashes.get(name) != sha256:
-            verification.fault("results", RESULTS, f"{source} does not name {name} with this hash")
-    if camera_serial is not None and verification.camera_serial != camera_serial:
-        what = f"the results belong to camera {verification.camera_serial}; {camera_serial} was requested"
-        verification.fault("item", RESULTS, what)
+        hashes = None if captures is None else {name: capture.sha256 for name, capture in captures.items()}
+        for name, sha256 in recordings:
+            if hashes is not None and hashes.get(name) != sha256:
+                what = f"the journal does not name {name} with this hash"
+                verification.fault("results", RESULTS, what)
+        if camera_serial not in {None, verification.camera_serial}:
+            what = f"the results belong to camera {verification.camera_serial}; {camera_serial} was requested"
+            verification.fault("item", RESULTS, what)
 
 
 def _read_facts(results: Any, verification: Verification) -> list[tuple[str, str]]:
-    """Take run and camera from results; return name and SHA-256 of each recording, or raise an ``UNREADABLE``."""
+    """Take run and camera from results; return name and SHA-256 of each recording."""
     serial = (results["devices"].get("camera") or {}).get("serial")
     run_id, simulated = str(results["run"]["id"]), bool(results["run"]["simulated"])
     recordings = [

@@ -42,6 +42,9 @@ def storage_errors(where: Path) -> Iterator[None]:
         place = Path(error.filename or where)
         if is_temporary(place):  # nobody knows the name that a file has while it is written
             place = where
+        place = Path(
+            *(part[1 : -len(TEMPORARY)] if is_temporary(Path(part)) else part for part in place.parts)
+        )
         if error.errno in _FULL:
             what, remedy = "The disk is full.", "Make room on this disk, or use another one."
         elif error.errno in _DENIED:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.record.events import LedgerPlace
 
-_ENDS = {"open": "without an end"}
+ENDS = {"open": "without an end"}
 """Words for the ends of runs in the ledger."""
 
 
@@ -16,5 +16,5 @@ def earlier_runs(ledger: LedgerPlace) -> str:
     """
     earlier = dict(ledger["of_camera"])
     earlier["open"] = earlier.get("open", 0) - 1  # this run was entered when it began
-    counts = [f"{count} {_ENDS.get(how, how)}" for how, count in earlier.items() if count > 0]
+    counts = [f"{count} {ENDS.get(how, how)}" for how, count in earlier.items() if count > 0]
     return ", ".join(counts) or "none"

@@ -87,10 +87,8 @@ def derivations_of(
 
     ``progress`` is told how many recordings or views of all have been measured again.
     """
-    from bench.evidence.seal import kind_of
-
     derivations: list[Derivation] = []
-    if kind_of(folder) == "run":
+    if folder_kind(folder).name == "run":
         from bench.again.verdict import check_verdict
 
         derivations.append(check_verdict)
@@ -99,6 +97,6 @@ def derivations_of(
         from bench.again.run import check_run_again
         from bench.solve.offline import nothing_shown
 
-        work = check_run_again if kind_of(folder) == "run" else check_recalculated
+        work = check_run_again if folder_kind(folder).name == "run" else check_recalculated
         derivations.append(partial(work, progress=progress or nothing_shown))
     return derivations

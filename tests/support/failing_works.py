@@ -23,8 +23,8 @@ from bench.commands.cli import main
 from bench.evidence.authorisation import authorise
 from bench.evidence.key_rotation import rotate
 from bench.evidence.key_trust import read_trust
-from bench.evidence.keys import ensure_key, load_key
-from bench.evidence.signers import SIGNERS_FILE, read_signers, trust
+from bench.evidence.keys import ensure_key, key_to_seal, load_key, require_usable, usable_key
+from bench.evidence.signers import NAMESPACE, SIGNERS_FILE, read_signers, trust
 from bench.evidence.states import standing_of
 from bench.evidence.verify import verify_folder
 from bench.solve.exports import camera_info
@@ -150,23 +150,31 @@ class Entries:
 
 
 class Keys:
-    """A change of keys: the bench has one key that is trusted, and it can be changed again."""
+    """A change of keys: the bench has one key that is trusted, also for a run that began before; it can be changed again."""
 
     name = "keys"
 
     def prepare(self, folder):
-        return SealedBench(new(folder))
+        lab = SealedBench(new(folder))
+        lab.key = load_key(lab.home)
+        return lab
 
     def do(self, lab):
         rotate(lab.home, NOW, passphrase=None, keep_old=True)
 
     def check(self, lab, end):
-        own = load_key(lab.home)
-        assert own.public_key in {signer.public_key for signer in read_signers(lab.home / SIGNERS_FILE)}
+        later, end_of_all = NOW + timedelta(hours=1), NOW + timedelta(days=1)
+        old, own = lab.key, usable_key(lab.home, later)
+        assert key_to_seal(lab.home, old, later).public_key == own.public_key
         see_that_the_seal_holds(lab)
-        if end.status:
-            rotate(lab.home, NOW + timedelta(hours=1), passphrase=None, keep_old=True)
-            assert load_key(lab.home).public_key != own.public_key
+        if own.public_key == old.public_key:
+            assert end.status
+            rotate(lab.home, later, passphrase=None, keep_old=True)
+        require_usable(lab.home, load_key(lab.home), end_of_all)
+        assert not (lab.home / "bench_key.new").exists()
+        assert len(list((lab.home / "old_keys").iterdir())) == 1
+        listed = read_signers(lab.home / SIGNERS_FILE)
+        assert [bool(signer.rejection(NAMESPACE, end_of_all)) for signer in listed] == [True, False]
 
 
 def new(folder):

@@ -8,25 +8,22 @@ from collections.abc import Mapping, Sequence
 from bench.extras.certificate.lab_config import LabConfig
 from bench.record.ledger_marks import LedgerRun
 from bench.record.results import Results
-from bench.record.run_verdict import Limits, RunVerdict, hashes_of, run_verdict
+from bench.record.run_verdict import Limits, hashes_of, run_verdict
+from bench.wording.earlier_runs import ENDS
 
 
 def verdict_history(runs: Sequence[LedgerRun], results: Results, lab: LabConfig) -> str:
-    """Return how the finished runs of the camera of ``results`` were judged, by what, and when the limits were stated.
+    """Return how the runs of the camera of ``results`` were judged or ended, and when the limits were stated.
 
     ``runs`` are all of the ledger; one of another camera, or of simulated devices beside real ones, does not count.
     """
     own = run_verdict(results)
     simulated = bool(results["run"]["simulated"])
-    of_camera = [
-        run
-        for run in runs
-        if run.how == "finished" and run.simulated == simulated and own.camera in _cameras_of(run)
-    ]
+    of_camera = [run for run in runs if run.simulated == simulated and own.camera in _cameras_of(run)]
     of_lab = _of_lab(lab)
-    counts = Counter(_words(run.verdict, [hashes_of(of_lab), own.specifications]) for run in of_camera)
+    counts = Counter(_words(run, [hashes_of(of_lab), own.specifications]) for run in of_camera)
     counted = "; ".join(f"{count} {words}" for words, count in counts.items()) or "none"
-    text = f"Finished runs of this camera on this bench, by its ledger: {counted}."
+    text = f"Runs of this camera on this bench, by its ledger: {counted}."
     return f"{text} {_when(of_lab, results)}".rstrip()
 
 
@@ -42,8 +39,11 @@ def _of_lab(lab: LabConfig) -> dict[str, list[Limits]]:
     return limits
 
 
-def _words(verdict: RunVerdict | None, here: Sequence[Mapping[str, str]]) -> str:
+def _words(run: LedgerRun, here: Sequence[Mapping[str, str]]) -> str:
     """Return a verdict in words; ``here`` holds the specifications of the certificate, each with its hash."""
+    verdict = run.verdict
+    if run.how != "finished":  # one that was killed when its verdict was known has no other
+        return f"not finished ({ENDS.get(run.how, run.how)})"
     if verdict is None:
         return "of an earlier version, with a verdict that its ledger does not hold"
     if verdict.verdict is None:

@@ -51,11 +51,11 @@ def test_a_fail_then_a_run_without_limits_then_wide_limits_shows_the_fail(lab):
         (judged("FAIL"), {"simulated": False}, False),
         (judged("FAIL", camera="1"), {"camera": "1"}, False),
         (judged("FAIL"), {"camera": ""}, True),
-        (None, {"how": "aborted"}, False),
+        (None, {"how": "aborted"}, True),
         (None, {}, True),
     ],
 )
-def test_finished_runs_of_this_camera_count(lab, verdict, facts, counts):
+def test_runs_of_this_camera_count_also_those_that_did_not_finish(lab, verdict, facts, counts):
     with_limits(lab, WIDE)
     before = lab.issue("first").certificate.statement("verdicts")
     enter(lab, verdict, **facts)

@@ -88,7 +88,7 @@ def full_certificate() -> Certificate:
     changes = (Change("customer.address.street", "Mill Lane 2", "Mill Lane 3"),)
     reason = "The customer's address was wrong."
     amends = Amends("SIMULATED-SB-2026-00016", "ef" * 32, reason, changes)
-    verdicts = f"Finished runs of this camera on this bench, by its ledger: {FAILED}; 2 without limits."
+    verdicts = f"Runs of this camera on this bench, by its ledger: {FAILED}; 2 without limits."
     made = compose(sample_results(), sample_lab().value, identity(amends=amends, verdicts=verdicts))
     skipped = Deviation("Pose 4 (below) was skipped by the operator: too few stars.", "run")
     values = (ValueBefore("fx", 3345.1, 2.9, "px"), ValueBefore("k1", 0.051, None, "1"))

@@ -31,10 +31,11 @@ from bench.evidence.authorisation import authorise as sign
 from bench.evidence.authorisation import named_person, require_authorisable, require_unauthorised
 from bench.evidence.authorisations import enter_authorisation
 from bench.evidence.beside_seal import add_beside
+from bench.evidence.folder_kinds import folder_kind
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.openssh import agent_socket
 from bench.evidence.personal_key import find_key
-from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, kind_of
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.evidence.timestamp import (
@@ -280,7 +281,7 @@ def _enter(folder: Path, person: str, fingerprint: str) -> bool:
 
 def facts_of(folder: Path) -> dict[str, str]:
     """Return what a person must see before signing, in order: kind, number, item, run, and the seal's hash."""
-    kind = kind_of(folder)
+    kind = folder_kind(folder).name
     certificate = _read_json(folder / CERTIFICATE)
     results = _results(folder)
     run = _part(certificate, "run") or _part(results, "run")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from report_sample import sample
 
-from bench.again.files import MadeAgain, compare_files
+from bench.again.files import MadeAgain, compare_files, maker_of
 from bench.base.bounded_json import canonical_json
 from bench.evidence.findings import Findings
 from bench.measure.views_file import StoredView, views_file
@@ -76,7 +76,7 @@ def compared(folder, made, **used):
     results["run"]["software"] |= used
     findings = Findings()
     made_again = MadeAgain(results, made[2], "camera", TARGET, HEAD)
-    compare_files(folder, made_again, results["run"]["software"], findings)
+    compare_files(folder, made_again, maker_of(results, results["run"]["software"]), findings)
     return findings
 
 

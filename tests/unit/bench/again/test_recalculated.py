@@ -131,7 +131,7 @@ ATTACKS = {
     "other key named": (in_json("results.json", lambda r: r["run"]["sealed_by"].update(fingerprint="x")), "results.json"),
     "other source": (in_json("results.json", lambda r: r["sources"][0].update(sha256="0" * 64)), "results.json"),
     "source left out": (in_json("sources.json", lambda s: s["sources"].pop()), "results.json"),
-    "other camera": (in_json("sources.json", lambda s: s.update(camera_name="other")), "exports/opencv.yaml"),
+    "other camera": (in_json("sources.json", lambda s: s.update(camera_name="other")), "sources.json"),
     "export": (edit("exports/opencv.yaml", "avg_reprojection_error", "best_reprojection_error"), "exports/opencv.yaml"),
     "stars": (lambda f: (f / "views.h5").write_bytes(b"x"), "views.h5"),
     "passport added": (lambda f: (f / "passport.json").write_bytes(b"{}"), "passport.json"),

