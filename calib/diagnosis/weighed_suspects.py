@@ -44,6 +44,8 @@ _ROUNDS = 3
 _ROUNDING, _LEAST = 1e-15, 1e-20
 #: Least information on a size, in units of its prior.
 _SINGULAR = 1e-6
+#: Cosine of the angle between the target's normal and the axis of a holder, which leans by some degrees.
+_ALONG = 0.99
 #: Number of the most promising hypotheses that are fitted.
 _FITTED = 4
 
@@ -275,7 +277,7 @@ def _described(
     beside = sorted(
         (kind for kind, own in likely.items() if own > best - ALONE), key=lambda kind: -likely[kind]
     )
-    beside += [kind for kind in _alike(suspect, len(seen.rotations)) if kind not in beside]
+    beside += [kind for kind in _alike(suspect, value, len(seen.rotations)) if kind not in beside]
     length = float(np.linalg.norm(value))
     return Found(
         suspect,
@@ -286,9 +288,11 @@ def _described(
     )
 
 
-def _alike(suspect: Suspect, count: int) -> tuple[str, ...]:
-    """Return kinds that turn the camera in the same way as a suspect."""
+def _alike(suspect: Suspect, value: Array, count: int) -> tuple[str, ...]:
+    """Return kinds that turn the camera in the same way as a suspect with these parameters, rad."""
     if suspect.kind == kinds.ONE_POSE and suspect.pose in (0, count - 1):
         return kinds.TURNED, kinds.MOVED  # a step at the end
+    if suspect.kind == kinds.MOVED and abs(value[2]) > _ALONG * np.linalg.norm(value):
+        return (kinds.HELD,)
     # A camera that sags to one side turns in proportion to tilt, as if pan leant.
     return (kinds.SAGS,) if suspect.kind == kinds.NOT_SQUARE else ()

@@ -99,7 +99,8 @@ def unsteady_focus(posterior: Posterior) -> UnsteadyFocus | None:
         return None
     drifts = posterior.faults.get(STEADY, 0.0)
     changes = [_drift(posterior, drifts), *_others(posterior.optimum)]
-    best, steady = max(changes, key=lambda change: change.worth), _two_log(1.0 - drifts)
+    changes.sort(key=lambda change: change.worth)
+    best, steady = changes[-1], _two_log(1.0 - drifts)
     if best.worth - steady < _POSSIBLE or np.ptp(best.log_f) < _LEAST_CHANGE:
         return None
     worths = {kinds.UNCHANGED: steady} | {change.kind: change.worth for change in changes}
@@ -165,7 +166,7 @@ class _Changed:
 
 
 def _others(optimum: Optimum) -> list[UnsteadyFocus]:
-    """Return the likeliest steps between two views, and another focal length at each pose, if they promise enough."""
+    """Return the likeliest steps between two views, a drift, and own focal lengths of poses, if they promise enough."""
     bench = optimum.marginal.problem.bench
     m, at = len(bench.poses), bench.layout.places(("fx", "fy"))
     columns = np.zeros((m, optimum.marginal.equations.of_views.shape[1], m))
@@ -176,8 +177,10 @@ def _others(optimum: Optimum) -> list[UnsteadyFocus]:
         for k in range(1, m)
     ]
     steps.sort(key=lambda change: -change.promised(gains))
+    # The drift of the adjustment is a field on the target, which a large one leaves; this one is exact.
+    creeps = _Change(kinds.FOCUS_CREEPS, bench.poses[:, None] / (bench.n_poses - 1), odds)
     plays = _Change(kinds.FOCUS_PLAYS, np.eye(bench.n_poses)[bench.poses], odds)
-    tried = [change for change in (*steps[:_TRIED], plays) if change.promised(gains) > _PROMISED]
+    tried = [change for change in (*steps[:_TRIED], creeps, plays) if change.promised(gains) > _PROMISED]
     changed = [_changed(optimum, change, columns) for change in tried]
     first = at_best(optimum) if changed else optimum
     likely = [

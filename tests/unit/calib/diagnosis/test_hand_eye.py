@@ -116,6 +116,10 @@ MISTAKES = {
     "camera knocked": (kinds.TURNED, seen(lambda k, _: 0.05 * (k >= 4) * AXIS)),
     "collimator knocked": (kinds.MOVED, seen(lambda k, _: 0.1 * (k >= 4) * AXIS, left=False)),
     "target turned": (kinds.HELD, seen(lambda k, _: [0.0, 0.0, 0.3 * (k >= 4)], left=False)),
+    "target turned in a holder that leans": (
+        kinds.HELD,
+        seen(lambda k, _: 0.3 * (k >= 4) * np.array([0.0, 0.1, 1.0]), left=False),
+    ),
     "camera creeps": (kinds.CREEPS, seen(lambda k, _: 0.02 * k * AXIS)),
     "collimator creeps": (kinds.SHIFTS, seen(lambda k, _: 0.02 * k * AXIS, left=False)),
     "camera loose": (kinds.LOOSE, seen(lambda _, rng: rng.normal(0, 0.02, 3))),

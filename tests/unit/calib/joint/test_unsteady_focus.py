@@ -35,6 +35,7 @@ def _answer(shares, seed, known="cr", profile="like-bench"):
     [
         (kinds.FOCUSED, _RING, 502, ("cr", "like-bench")),
         (kinds.FOCUS_PLAYS, _PLAY, 506, ("cr", "like-bench")),
+        (kinds.FOCUS_CREEPS, 1e-3 * _POSES, 1, ("cr", "like-bench")),
         pytest.param(kinds.FOCUSED, _RING, 502, ("0", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUS_CREEPS, _DRIFT, 509, ("cr", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUS_CREEPS, _DRIFT, 509, ("c", "S1"), marks=pytest.mark.slow),
