@@ -128,6 +128,20 @@ class Unstated:
         return answer
 
 
+def innovations(solution: Solution, curvature: Array) -> list[Innovation]:
+    """Compare each statement with what all others say, at the amplitudes that are best if nobody had stated it.
+
+    A wrong statement makes the errors of the collimator look large, and is then hardly contradicted. The (A, A)
+    curvature is that at the solution.
+    """
+    marginal, answer = solution.marginal, []
+    for at, name in enumerate(marginal.problem.knowledge.witnesses):
+        alone = marginal.solve(solution.eta, tuple(sorted((dict(solution.faults) | {name: WRONG}).items())))
+        best = best_amplitudes(alone, _STEPS, enough=ROUGH, curvature=curvature)
+        answer.append(Unstated(marginal, best.eta).innovations(solution.faults)[at])
+    return answer
+
+
 @dataclass(frozen=True)
 class Doubted:
     """The combinations of doubts beside none, with odds against it; all odds are divided by a common ``scale``."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import NotConverged
-from calib.joint.doubts import Innovation, Unstated
+from calib.joint.doubts import Innovation, innovations
 from calib.joint.effects.collimator import CENTRE, RADIAL
 from calib.joint.effects.effect import Places
 from calib.joint.effects.gimbal import GimbalErrors
@@ -179,12 +179,10 @@ class Posterior:
 
     def innovations(self) -> list[Innovation]:
         """Return the innovation of every statement that could be wrong, at the largest mode."""
-        largest = self.largest.solution
-        innovations = Unstated(largest.marginal, largest.eta).innovations(largest.faults)
-        innovations += [self.denied] if self.denied else []
+        found = innovations(self.largest.solution, 2.0 * self.modes.curvature)
+        found += [self.denied] if self.denied else []
         return [
-            replace(innovation, probability=self.faults.get(innovation.name, 0.0))
-            for innovation in innovations
+            replace(innovation, probability=self.faults.get(innovation.name, 0.0)) for innovation in found
         ]
 
 

@@ -134,15 +134,15 @@ def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(op
     without = type(marginal)(
         replace(marginal.problem, knowledge=knowledge), marginal.equations, marginal.state
     )
-    solution = without.solve(optimum.eta)
+    solution = best_amplitudes(without.solve(optimum.eta), 20)
     expected = innovation.statement.rows @ (optimum.state.shared + solution.step)
     sigma = np.sqrt(innovation.statement.rows @ solution.covariance @ innovation.statement.rows.T)
-    assert innovation.expected == pytest.approx(expected, rel=1e-4, abs=1e-3 * sigma[0, 0])
-    assert innovation.sigma[0] == pytest.approx(sigma[0, 0], rel=1e-3)
+    assert innovation.expected == pytest.approx(expected, rel=1e-4, abs=0.02 * sigma[0, 0])
+    assert innovation.sigma[0] == pytest.approx(sigma[0, 0], rel=0.02)
     normalised = (innovation.statement.values - expected) / np.sqrt(
         sigma[0, 0] ** 2 + innovation.statement.covariance[0, 0]
     )
-    assert innovation.normalised == pytest.approx(normalised[0], rel=1e-2, abs=1e-3)
+    assert innovation.normalised == pytest.approx(normalised[0], rel=0.02, abs=0.02)
 
 
 def lit(bench, discs_mm):
