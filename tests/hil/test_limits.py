@@ -3,6 +3,7 @@
 import json
 import re
 
+import pytest
 from quick_runs import THREE, write_sequence, write_station
 from running import called, results
 
@@ -19,6 +20,7 @@ def run(home, folder, station_limits, sequence_limits):
     ), folder / "run"
 
 
+@pytest.mark.slow
 def test_a_run_that_keeps_its_limits_passes(home, tmp_path):
     ended, folder = run(home, tmp_path / "a", "", KEPT)
     assert ended.returncode == 0, ended.stderr
@@ -46,6 +48,7 @@ def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_pa
     assert called("verify", tmp_path / "again", "--again", home=home).returncode == 0
 
 
+@pytest.mark.slow
 def test_a_batch_counts_such_a_run_as_done_and_tells_it(home, tmp_path):
     sequence = write_sequence(tmp_path / "s.yaml", THREE)
     sequence.write_text(sequence.read_text() + f"limits: [{MISSED}]\n")

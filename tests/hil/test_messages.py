@@ -169,6 +169,7 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     assert (sent["state"], sent["perhaps_twice"], sent["message"]["occasion"]) == ("sent", False, "end")
 
 
+@pytest.mark.slow
 def test_a_run_killed_while_its_message_is_under_way_is_sealed_and_the_message_arrives_later(tmp_path):
     home, folder = tmp_path / "home", tmp_path / "run"
     with serving(MailServer()) as server:

@@ -131,10 +131,11 @@ def test_the_example_passes_the_contract_tests(installed) -> None:
     [
         ("raise RuntimeError('no library')", "RuntimeError: no library"),
         ("import sys; sys.exit(3)", "SystemExit: 3"),
-        ("", "has no attribute 'Section'"),
-        (
+        pytest.param("", "has no attribute 'Section'", marks=pytest.mark.slow),
+        pytest.param(
             SECTION.replace("NAME", "other"),
             "its key driver must be Literal['epics_motor']",
+            marks=pytest.mark.slow,
         ),
         (
             SECTION.replace("NAME", "epics_motor"),

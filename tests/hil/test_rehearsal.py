@@ -111,6 +111,7 @@ def test_a_night_goes_as_planned_and_tells_what_failed(queue, tmp_path):
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
+@pytest.mark.slow
 def test_a_rehearsal_leaves_nothing_that_passes_for_evidence(queue, tmp_path, monkeypatch):
     home = tmp_path / "home"
     monkeypatch.setenv("STARBENCH_HOME", str(home))

@@ -140,6 +140,7 @@ def quick(tmp_path_factory, home):
     return words, folder / "undisturbed"
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_numbers_to_the_last_digit(quick, home, tmp_path):
     words, undisturbed = quick
     ended = called(*words, "-o", tmp_path / "again", home=home)
@@ -191,6 +192,7 @@ CREEPING = (
 )
 
 
+@pytest.mark.slow
 def test_a_camera_that_creeps_where_no_encoder_sees_it_is_refused_by_its_own_stars(home, tmp_path):
     station = write_station(tmp_path / "creeping.yaml", simulation=CREEPING)
     # Halves of two periods: .12 px. Between halves of one, the stars are seen to move by as much as the limit.

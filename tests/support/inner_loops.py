@@ -22,18 +22,23 @@ def from_python(inner: Callable[..., Any]) -> Callable[..., Any]:
 
 def inner_functions(sources: list[Path]) -> set[tuple[str, str]]:
     """Return module and name of each function whose compiler options are those of an inner one (``**INNER...``)."""
+    texts = {path: path.read_text(encoding="utf-8") for path in sources}
     return {
         (_module(path), node.name)
-        for path in sources
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for path, text in texts.items()
+        if "INNER" in text  # to parse takes long
+        for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.FunctionDef) and any("INNER" in ast.unparse(d) for d in node.decorator_list)
     }
 
 
 def calls_from_python(path: Path, inner: set[tuple[str, str]]) -> Iterator[str]:
     """Yield the calls of inner functions in a file that stand outside of compiled functions."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    known = _names(tree, _module(path), inner)
+    text, own = path.read_text(encoding="utf-8"), _module(path)
+    if all(home != own and home.rpartition(".")[2] not in text for home, _ in inner):
+        return
+    tree = ast.parse(text)
+    known = _names(tree, own, inner)
     for node in _plain_code(tree) if known else ():
         if isinstance(node, ast.Call) and ast.unparse(node.func) in known:
             yield f"{path.name}:{node.lineno}: {ast.unparse(node.func)}"

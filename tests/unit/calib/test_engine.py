@@ -271,6 +271,7 @@ def test_sigmas_of_stars_in_another_unit_change_the_result_little(noisy):
         assert other.sigma[name] == pytest.approx(plain.sigma[name], rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stretched", [pytest.param(0.95, marks=pytest.mark.slow), 1.1])
 def test_pixels_that_are_not_square_are_named_and_the_focal_lengths_are_right(bench, stretched):
     """Images that a program has stretched along one direction."""

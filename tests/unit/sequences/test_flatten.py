@@ -158,9 +158,15 @@ def test_all_that_cannot_unfold_is_reported_at_once():
 @pytest.mark.parametrize(
     "steps_text",
     [
-        "{repeat: {times: 100000, steps: [{repeat: {times: 100000, steps: [{wait: {duration_s: 1}}]}}]}}",
+        pytest.param(
+            "{repeat: {times: 100000, steps: [{repeat: {times: 100000, steps: [{wait: {duration_s: 1}}]}}]}}",
+            marks=pytest.mark.slow,
+        ),
         "{repeat: {times: 100000, steps: [{repeat: {times: 100000, steps: [move]}}]}}",
-        "{repeat: {times: 100000, steps: [{repeat: {poses: none, steps: [move]}}]}}",
+        pytest.param(
+            "{repeat: {times: 100000, steps: [{repeat: {poses: none, steps: [move]}}]}}",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_script_that_unfolds_without_end_is_stopped(steps_text):

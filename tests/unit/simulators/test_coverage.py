@@ -92,7 +92,14 @@ def test_an_edge_through_the_point_spread_is_an_error_function_wherever_it_stand
 
 
 @pytest.mark.parametrize(
-    "target", [StarTarget(), StarTarget(17, 24, 5.0, 12, tag_square=(6, 9)), StarTarget(segments=4)]
+    "target",
+    [
+        StarTarget(),
+        *(
+            pytest.param(target, marks=pytest.mark.slow)
+            for target in (StarTarget(17, 24, 5.0, 12, tag_square=(6, 9)), StarTarget(segments=4))
+        ),
+    ],
 )
 def test_the_outline_is_black_where_the_print_is(target):
     polygons = black_polygons(target)

@@ -26,6 +26,7 @@ def points(tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"

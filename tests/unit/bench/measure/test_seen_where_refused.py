@@ -45,7 +45,7 @@ def refusal(sensor, angles_deg=BEFORE, change=None, **section):
     return why_no_target(refused.value, facts, image)
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("sensor", [pytest.param("720 rows", marks=pytest.mark.slow), "360 rows"])
 @pytest.mark.parametrize(
     ("case", "told"),
     [
@@ -62,6 +62,6 @@ def test_sharp_stars_without_a_tag_are_told_with_what_hides_it(sensor, case, tol
     assert told in reason.what
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("sensor", [pytest.param("720 rows", marks=pytest.mark.slow), "360 rows"])
 def test_a_picture_in_which_all_edges_are_wide_is_out_of_focus(sensor):
     assert "out of focus" in refusal(sensor, optics={"psf_px": 4.0}).what

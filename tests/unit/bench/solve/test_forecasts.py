@@ -96,6 +96,7 @@ def expected(sequence="until_good", station="simulated", **settings):
     return expected_uncertainty(make_plan(*load_documents(sequence, station, paths)))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarse")
 def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
     forecast = expected(expanded_fx_px=1.8)

@@ -271,6 +271,7 @@ collimator:
 )
 
 
+@pytest.mark.slow
 def test_loose_files_take_what_the_station_states_and_say_that_the_stage_s_readings_are_left_out(
     points, tmp_path, key
 ):

@@ -181,7 +181,7 @@ def test_one_view_of_a_known_collimator_begins_at_its_camera(bench):
     [
         ((), "0 views"),
         (((0, 0),), "1 view given; at least 2"),
-        (((1, 1), (1, 1)), "All 2 views show the same pose"),
+        pytest.param(((1, 1), (1, 1)), "All 2 views show the same pose", marks=pytest.mark.slow),
         (((1, 1), (1, 1.1), (1.1, 1)), "All 3 views show the same pose"),
         (((0, 0, 0), (0, 0, 30)), "roll about the optical axis"),
         pytest.param(
@@ -195,6 +195,7 @@ def test_views_that_do_not_constrain_are_named(bench, poses, reason, noise_px):
         calibrate(views)
 
 
+@pytest.mark.slow
 def test_a_beam_too_narrow_is_named(make_bench):
     bench = make_bench(
         centre=(60.0, 60.0, -255.0), half_angle_deg=1.9, poses=((0, 0), (1, 0.5, 20), (-0.5, 1))

@@ -59,6 +59,7 @@ def test_every_doubt_after_the_adjustment_is_a_note():
     assert "probably 1280 x 720" in second
 
 
+@pytest.mark.slow
 def test_views_of_few_stars_are_not_judged(views):
     few = []
     for view in views:

@@ -26,6 +26,7 @@ def checked(bench: DrawnGimbal) -> HandEyeCheck:
     return check_hand_eye(bench.rotations, bench.covariance, bench.readings)
 
 
+@pytest.mark.slow
 def test_a_true_gimbal_is_consistent_within_the_cameras_own_noise():
     benches = [quiet(seed) for seed in range(30)]
     checks = [checked(bench) for bench in benches]
@@ -206,6 +207,7 @@ def test_scatter_below_what_is_stated_of_the_readings_is_no_fault_and_scatter_ab
         assert check_with(**stated).verdict == kinds.SCATTERED
 
 
+@pytest.mark.slow
 def test_an_error_of_the_encoder_that_a_row_of_a_raster_shares_is_no_slip():
     bench = draw_gimbal(31, **(NINE | {"poses": 25}))
     last = max(reading["tilt_deg"] for reading in bench.readings)
@@ -249,6 +251,7 @@ def test_axes_that_are_not_at_right_angles_are_measured():
     assert np.degrees(found.size_rad) == pytest.approx(0.1, abs=4 * np.degrees(found.sigma_rad))
 
 
+@pytest.mark.slow
 def test_a_scale_that_the_focal_length_or_what_is_stated_explains_is_no_fault():
     assert judged(draw_gimbal(11, **NINE, focal_error=0.029, focal_sigma=0.016)).verdict == AGREES
     bench = quiet(5, scale_error=5e-4)

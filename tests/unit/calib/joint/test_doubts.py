@@ -70,6 +70,7 @@ def test_data_that_agree_make_doubt_less_probable(optimum):
     assert prior_odds(there.witnesses, doubts) * np.exp(log) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_certificate_two_sigma_from_what_the_others_say_moves_u_without_a_step():
     """Poses of a hand. The certificate is right, and its doubt decides how large U is."""
     bench = WORLDS["S2"](950, 3, 1, 0)

@@ -29,6 +29,7 @@ def views_with(noise_px: float) -> list[View]:
         ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "noise_px", [0.0, *(pytest.param(px, marks=pytest.mark.slow) for px in (1e-5, 1e-3))]
 )

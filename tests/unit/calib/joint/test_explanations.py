@@ -115,6 +115,7 @@ def test_shifted_ids_of_a_view_do_not_deny_the_bound():
     assert not any("pupil and defocus" in note for note in line["notes"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("world", "seed"),
     [
@@ -131,6 +132,7 @@ def test_three_poses_of_a_mount_moved_by_hand_are_covered_with_nothing_stated(wo
         assert error < 1.3 * result.coverage_factors[name] * result.sigma[name]
 
 
+@pytest.mark.slow
 def test_errors_of_poses_on_a_gimbal_are_not_taken_for_a_hand():
     """The places of a hand are free: they explain the errors better, by 17 in 2 log of the likelihood."""
     bench = record(draw_world(0), 0, nested_poses(0)[:4])

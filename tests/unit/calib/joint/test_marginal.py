@@ -175,6 +175,7 @@ def test_the_expected_parallax_is_that_of_the_way_that_the_discs_show(bench, off
     assert (median > 0.06 * 0.06) == (off_mm > 15.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "gimbal", [None, pytest.param(replace(READINGS, angles_deg=ANGLES[:3]), marks=pytest.mark.slow)]
 )
@@ -314,6 +315,7 @@ def test_the_certificate_of_another_collimator_is_refused(views, times, known):
         calibrate(views, replace(known, passport=other))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "certified_mm", [275.0, *(pytest.param(mm, marks=pytest.mark.slow) for mm in (224.4, 245.0))]
 )
@@ -414,12 +416,14 @@ def test_a_gain_that_equations_promise_beyond_where_they_hold_does_not_count(opt
     assert log_odds(far, solution) < -5.0
 
 
+@pytest.mark.slow
 def test_a_wave_in_the_glass_that_no_field_holds_does_not_move_the_foot_of_the_axis():
     """25 poses show it so well that amplitudes ten times as large would imitate it, with fx 193 px wrong."""
     line = drawn_result("polynomial", 25, 7, "c", "shipped")
     assert abs(line["error"]["fx"]) < line["U"]["fx"] < 5.0
 
 
+@pytest.mark.slow
 def test_a_pupil_that_moves_along_the_axis_does_not_pass_for_errors_of_the_glass():
     """A hand moves it by 8.5 mm (1 sigma), which changes the scale of each pose: 1.2 px in poses that are left out."""
     line = drawn_result("S1", 9, 86, "c")
@@ -435,6 +439,7 @@ def test_a_pupil_beside_the_axes_does_not_pass_for_another_principal_point():
     assert all(abs(line["error"][name]) < line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner"))
 
 
+@pytest.mark.slow
 def test_what_a_station_states_of_the_pupil_hardly_adds_to_the_uncertainty_of_the_principal_point():
     """It counts together with what is expected. When it replaced that, readings made U of cx 55 % larger."""
     bench = polynomial.record(polynomial.draw_world(7), 7, THREE)

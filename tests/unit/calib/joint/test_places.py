@@ -117,6 +117,7 @@ def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
     assert (parts[PUPILS] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [(9, 17), pytest.param((9, 17, 36, 38), marks=pytest.mark.slow)])
 def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera(seeds):
     """Short arcs show the middles of the discs to millimetres only; what the rim does bends about them."""

@@ -34,8 +34,8 @@ def _answer(shares, seed, known="cr", profile="like-bench"):
     ("kind", "shares", "seed", "station"),
     [
         (kinds.FOCUSED, _RING, 502, ("cr", "like-bench")),
-        (kinds.FOCUS_PLAYS, _PLAY, 506, ("cr", "like-bench")),
-        (kinds.FOCUS_CREEPS, 1e-3 * _POSES, 1, ("cr", "like-bench")),
+        pytest.param(kinds.FOCUS_PLAYS, _PLAY, 506, ("cr", "like-bench"), marks=pytest.mark.slow),
+        pytest.param(kinds.FOCUS_CREEPS, 1e-3 * _POSES, 1, ("cr", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUSED, _RING, 502, ("0", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUS_CREEPS, _DRIFT, 509, ("cr", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUS_CREEPS, _DRIFT, 509, ("c", "S1"), marks=pytest.mark.slow),
@@ -53,6 +53,7 @@ def test_uncertainties_span_the_focal_lengths_that_were_there_and_a_cause_says_s
     assert not any("The statement" in note for note in answer.notes)
 
 
+@pytest.mark.slow
 def test_a_drift_that_the_data_do_not_decide_is_told_beside_no_change_and_is_in_the_uncertainties():
     answer, off = _answer(1e-3 * _POSES / 8.0, 508)
     (cause,) = answer.raw.causes

@@ -99,6 +99,7 @@ def test_a_shift_that_five_views_do_not_show_does_no_harm(place, shift, seed):
             assert error < 1.5 * result.coverage_factors[name] * result.sigma[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", [pytest.param("polynomial", marks=pytest.mark.slow), "raytraced"])
 def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     """Errors of the glass, of the pupil and of each pose could hide the shift."""
@@ -110,12 +111,13 @@ def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     assert (cause.kind, shifts_of(cause)) == (kinds.IDS, {("pose 3", -1, 0)})
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(count=st.integers(2, 8), seed=st.integers(0, 999), noise_px=st.sampled_from([0.01, 0.05, 0.3]))
 def test_sound_views_are_not_doubted(count, seed, noise_px):
     assert doubts(bench(seed, noise_px, count)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("world", "count"),
     [
@@ -148,6 +150,7 @@ def test_of_two_views_nobody_can_tell_which_is_shifted():
     assert {("pose-001", 1, 0), ("pose-002", -1, 0)} <= shifts_of(cause)
 
 
+@pytest.mark.slow
 def test_stars_on_no_lattice_have_no_columns():
     rng, views = np.random.default_rng(5), bench(4, count=5)
     views[1] = misnamed(views[1], 1, 0)
@@ -191,6 +194,7 @@ def test_a_few_views_with_another_origin_are_named(by, along):
     assert cause.value == pytest.approx(0.5, abs=2 * cause.expanded)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise_px", "named"), [pytest.param(0.01, True, marks=pytest.mark.slow), (0.05, False)]
 )

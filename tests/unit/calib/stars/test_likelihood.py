@@ -58,6 +58,7 @@ def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
     assert rms(likely.centres, centres) < 0.03
 
 
+@pytest.mark.slow
 def test_edges_along_the_pixel_grid_have_less_weight(monkeypatch):
     image, centres, shape = stars(0.4)
     start = centres + 0.03 * np.random.default_rng(5).standard_normal(centres.shape)
@@ -86,6 +87,7 @@ def test_covariances_are_about_right_if_edges_do_not_run_along_the_pixels():
     assert 0.6 < np.sqrt(squares.mean()) < 1.5
 
 
+@pytest.mark.slow
 def test_inverted_contrast_changes_nothing():
     image, centres, shape = stars(17.0)
     a = refine_by_likelihood(quantise(image), centres, shape, TARGET)
@@ -93,6 +95,7 @@ def test_inverted_contrast_changes_nothing():
     assert np.abs(a.centres - b.centres).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_where_it_starts():
     image, centres, shape = stars(17.0)
     shifted = refine_by_likelihood(quantise(image), centres + 0.05, shape, TARGET)

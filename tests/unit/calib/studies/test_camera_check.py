@@ -46,6 +46,7 @@ def share_not_right(change, n):
     return wrong / n
 
 
+@pytest.mark.slow
 def test_a_camera_that_did_not_change_is_called_wrong_in_about_one_case_of_twenty():
     assert 0.01 <= share_not_right(0.0, 150) <= 0.10
 

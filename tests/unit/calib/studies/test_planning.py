@@ -61,6 +61,7 @@ def test_the_next_pose_lowers_the_worst_uncertainty_more_than_any_other():
     assert worst[candidates.index(best.angles_deg)] <= 1.02 * min(worst.values())
 
 
+@pytest.mark.slow
 def test_poses_chosen_at_once_are_as_good_as_those_chosen_one_by_one():
     candidates = [
         {"pan_deg": pan, "tilt_deg": tilt} for pan in np.linspace(-6, 6, 9) for tilt in np.linspace(-3, 3, 5)

@@ -34,6 +34,7 @@ def test_the_relative_rotation_is_found_within_its_uncertainty(bench):
     assert rigs[0].sigma_arcsec.max() < 60
 
 
+@pytest.mark.slow
 def test_what_both_cameras_say_about_one_collimator_counts_together(bench):
     first, second = two_cameras(bench, 5, "joint")
     errors = second.rotation_errors
@@ -164,6 +165,7 @@ def test_a_camera_of_another_size_is_refused():
         with_boards(stated_cameras(*drawn.cameras[::-1]), *drawn.views)
 
 
+@pytest.mark.slow
 def test_boards_that_only_one_camera_saw_are_refused():
     first, second = Drawn(1).views
     with pytest.raises(DegenerateViews, match="share no pose"):
