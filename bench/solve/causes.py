@@ -103,7 +103,7 @@ def _seen_in(history: History, calibration: Calibration) -> _Seen:
         _known({attempt.pose_name: attempt.measured.get("flicker_duty") for attempt in accepted}),
         calibration.rms_px,
         stored["light"] if stored else LightSettingsData(),
-        _camera_settings(stored["facts"]) if stored else {},
+        _read_back(stored["facts"]) if stored else {},
     )
 
 
@@ -118,7 +118,7 @@ def _seen_before(results: Results) -> _Seen:
         _known({pose["name"]: pose.get("flicker_duty") for pose in poses}),
         float(results["calibration"]["rms_px"]),
         conditions["light"] if conditions else LightSettingsData(),
-        _camera_settings(conditions["camera"]) if conditions else {},
+        _read_back(conditions["camera"]) if conditions else {},
     )
 
 
@@ -141,7 +141,7 @@ def _on_delays_us(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
     return _known({name: image.get("first_on_delay_us") if image else None for name, image in images.items()})
 
 
-def _camera_settings(facts: RecordedData | CameraConditions) -> dict[str, int | bool]:
+def _read_back(facts: RecordedData | CameraConditions) -> dict[str, int | bool]:
     return {**(facts.get("biases") or {}), **(facts.get("filters") or {})}
 
 
@@ -194,8 +194,8 @@ def _slept_s(states: tuple[StateEntered, StateEntered]) -> float:
 def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:
     """Yield what differs from the last run: settings, and the sign of a weak image that is known best."""
     last, run = _seen_before(results), str(results["run"]["id"])
-    yield from _other_light(seen, last, run)
-    yield from _other_camera(seen, last, run)
+    yield from _other_setting(kinds.LIGHT, _light_settings(seen, last), _SAME_SETTING, run)
+    yield from _other_setting(kinds.CAMERA, _camera_settings(seen, last), 0.0, run)
     weak = [
         *_weak_light(seen, last, run),
         *_weak(kinds.FEWER, seen.of_poses(seen.stars, last.stars), _STARS_SHARE, "stars", run),
@@ -229,43 +229,41 @@ def _weak(
         yield Cause(kind, evidence, now, unit=unit, stated=then, before=run)
 
 
-def _other_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
-    """Yield the first setting of the light that is not that of the last run; the duty as the sync signal shows it."""
+#: By name of a setting: what it is, what it was, and its unit.
+_Settings = Mapping[str, tuple[float | None, float | None, str]]
+
+
+def _other_setting(kind: str, settings: _Settings, share: float, run: str) -> Iterator[Cause]:
+    """Yield the first setting that differs from that of the last run by more than a share."""
+    for name, (now, then, unit) in settings.items():
+        if now is not None and then is not None and abs(now - then) > share * abs(then):
+            yield Cause(
+                kind, 2.0 * DECISIVE, float(now), unit=unit, stated=float(then), axis=name, before=run
+            )
+            return
+
+
+def _light_settings(seen: _Seen, last: _Seen) -> _Settings:
+    """Return the settings of the light; the duty as the sync signal shows it, too."""
     now, then = seen.light, last.light
     levels = [(light.get("low_v"), light.get("high_v")) for light in (now, then)]
     height = [None if low is None or high is None else high - low for low, high in levels]
     duty = seen.of_poses(seen.duty, last.duty)
     shown = (100.0 * duty[0], 100.0 * duty[1]) if duty else (None, None)
-    settings = {
+    return {
         "frequency": (now.get("frequency_hz"), then.get("frequency_hz"), "Hz"),
         "duty": (now.get("duty_percent"), then.get("duty_percent"), "%"),
         "duty by the sync signal": (*shown, "%"),
-        "level": (*height, "V"),
+        "level": (height[0], height[1], "V"),
     }
-    for name, (own, other, unit) in settings.items():
-        if own is not None and other and abs(own / other - 1.0) > _SAME_SETTING:
-            yield Cause(
-                kinds.LIGHT, 2.0 * DECISIVE, float(own), unit=unit, stated=float(other), axis=name, before=run
-            )
-            return
 
 
-def _other_camera(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
-    """Yield the first bias or filter of the camera that is not that of the last run."""
-    for name, own in seen.camera.items():
-        other = last.camera.get(name, own)
-        if own != other:
-            unit = kinds.SWITCH if isinstance(own, bool) else ""
-            yield Cause(
-                kinds.CAMERA,
-                2.0 * DECISIVE,
-                float(own),
-                unit=unit,
-                stated=float(other),
-                axis=name,
-                before=run,
-            )
-            return
+def _camera_settings(seen: _Seen, last: _Seen) -> _Settings:
+    """Return the biases and filters of the camera."""
+    return {
+        name: (own, last.camera.get(name, own), kinds.SWITCH if isinstance(own, bool) else "")
+        for name, own in seen.camera.items()
+    }
 
 
 def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterator[Cause]:
