@@ -132,7 +132,7 @@ PIXELS = (720, 1280)
     [
         (12, "triggers", "The picture is dark: the sync signal comes, but only 0.0013 % of the pixels follow the light."),
         (12, "events", "The picture is dark: some events flicker, but only 0.0013 % of the pixels follow the light."),
-        (400_000, "triggers", "Tag 3 of family 36h11 is not in the image, and no stars are either."),
+        (400_000, "triggers", "Tag 3 of family 36h11 is not in the image as a whole, and no pattern of stars was found."),
     ],
 )  # fmt: skip
 def test_a_dark_picture_is_told_from_one_without_target(tmp_path, monkeypatch, lit, source, reason):
