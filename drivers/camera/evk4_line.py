@@ -13,8 +13,10 @@ import socket
 import struct
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
+from drivers.camera.recording import connection_lost
 from drivers.clock import Clock
 from drivers.errors import CameraError, CameraLost, CameraNotFound, DeviceRefused, ReplyGarbled, ReplyTimeout
 from drivers.lateness import MOST_STRETCH_S, Deadline, busy_text
@@ -49,7 +51,8 @@ class Evk4Line:
     """
 
     def __init__(self, address: str, *, clock: Clock, silence_s: float) -> None:
-        self.address = address
+        self.where = f"camera at {address}"
+        self._address = address
         self._clock = clock
         self.silence_s = silence_s
         self._received = bytearray()
@@ -95,7 +98,7 @@ class Evk4Line:
         if self.silent_s() > self.silence_s:
             late_s = self._quiet.starved_s()
             how = f"it has sent nothing for {self.silence_s:g} s"
-            raise self._lost(f"{how}; {busy_text(late_s)}" if late_s else how, busy=late_s > 0)
+            raise self._lost(f"{how}; {busy_text(late_s)}", BUSY_REMEDY) if late_s else self._lost(how)
 
     def receive(self) -> Frame | None:
         """Wait shortly for the next answer or words, None if no frame is complete; raise the camera's own faults."""
@@ -116,9 +119,9 @@ class Evk4Line:
         """Close the connection."""
         self._socket.close()
 
-    @property
-    def _where(self) -> str:
-        return f"camera at {self.address}"
+    def garbled(self, what: str) -> ReplyGarbled:
+        """Return the error of a peer that breaks the protocol."""
+        return ReplyGarbled(what, where=self.where, remedy=_ONE_VERSION)
 
     def _send(self, command: str, parameters: Mapping[str, Any]) -> int:
         self._last_id += 1
@@ -144,18 +147,14 @@ class Evk4Line:
     def _restart_silence(self) -> None:
         """Measure the silence from now on, because something was received or is expected."""
         self._heard_s, self._idle_s = self._clock.monotonic(), 0.0
-        self._quiet = Deadline(self.silence_s, self.address)
+        self._quiet = Deadline(self.silence_s, self._address)
 
     def _take_frame(self) -> Frame | None:
         if len(self._received) < _HEAD.size:
             return None
         kind, length = _HEAD.unpack_from(self._received)
         if kind not in (b"A", b"D", b"N") or length > MAX_FRAME_BYTES or (kind == b"D" and length % 2):
-            raise ReplyGarbled(
-                f"The camera sent bytes that are no frame: {bytes(self._received[:16])!r}.",
-                where=self._where,
-                remedy=_ONE_VERSION,
-            )
+            raise self.garbled(f"The camera sent bytes that are no frame: {bytes(self._received[:16])!r}.")
         end = _HEAD.size + length
         if len(self._received) < end:
             return None
@@ -164,18 +163,11 @@ class Evk4Line:
         return Frame(kind, payload)
 
     def _json(self, frame: Frame) -> Mapping[str, Any]:
-        try:
+        value = None
+        with suppress(ValueError, RecursionError):
             value = json.loads(frame.payload)
-        except (ValueError, RecursionError) as error:
-            raise ReplyGarbled(
-                f"The answer is no JSON: {frame.payload[:80]!r}.", where=self._where, remedy=_ONE_VERSION
-            ) from error
         if not isinstance(value, dict):
-            raise ReplyGarbled(
-                f"The answer is no JSON object: {frame.payload[:80]!r}.",
-                where=self._where,
-                remedy=_ONE_VERSION,
-            )
+            raise self.garbled(f"The answer is no JSON object: {frame.payload[:80]!r}.")
         return value
 
     def _checked_answer(self, command: str, answer: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -184,7 +176,7 @@ class Evk4Line:
         reason = answer.get("message") or answer.get("error") or "it gives no reason"
         raise DeviceRefused(
             f'The camera refused "{command}": {reason}',
-            where=self._where,
+            where=self.where,
             remedy="Correct that setting.",
         )
 
@@ -193,25 +185,22 @@ class Evk4Line:
         if notification.get("event") == "fault":
             raise CameraError(
                 f"The camera reports a fault: {notification.get('message', 'no description')}",
-                where=self._where,
+                where=self.where,
                 remedy="Remove the cause, then record again.",
             )
 
     def _no_answer(self, command: str) -> ReplyTimeout:
         late_s = self._quiet.starved_s()
         what = f'The camera did not answer "{command}"; it has sent nothing for {self.silent_s():.1f} s'
-        if late_s:
-            return ReplyTimeout(
-                f"{what}, and {busy_text(late_s)}.", where=self._where, remedy=BUSY_REMEDY, late_s=late_s
-            )
-        return ReplyTimeout(f"{what}.", where=self._where, remedy=_START_AGAIN)
-
-    def _lost(self, how: str, *, busy: bool = False) -> CameraLost:
-        return CameraLost(
-            f"The connection to the camera is lost ({how}).",
-            where=self._where,
-            remedy=BUSY_REMEDY if busy else _START_AGAIN,
+        return ReplyTimeout(
+            f"{what}, and {busy_text(late_s)}." if late_s else f"{what}.",
+            where=self.where,
+            remedy=BUSY_REMEDY if late_s else _START_AGAIN,
+            late_s=late_s,
         )
+
+    def _lost(self, how: str, remedy: str = _START_AGAIN) -> CameraLost:
+        return connection_lost(how, self.where, remedy)
 
 
 def _connect(address: str, timeout_s: float) -> socket.socket:

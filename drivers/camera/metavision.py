@@ -39,7 +39,13 @@ from drivers.camera.metavision_settings import (
 )
 from drivers.camera.raw_file import RawFile, RecordingStatistics
 from drivers.camera.raw_writer import check_new, check_space, sync_file
-from drivers.camera.recording import RecordingOutcome, UsbCameraDriver, recording_facts
+from drivers.camera.recording import (
+    RecordingOutcome,
+    UsbCameraDriver,
+    connection_lost,
+    incomplete_recording_error,
+    recording_facts,
+)
 from drivers.clock import Clock
 from drivers.errors import (
     CameraError,
@@ -52,7 +58,6 @@ from drivers.lateness import own_lateness
 
 _POLL_S: Final = 0.001  # Of the vendor's software, which has no wait with a deadline
 
-_RECONNECT: Final = "Check the camera's cable and power, then resume the run."
 
 _LARGEST_STEP_US: Final = 1_000_000
 """Between two buffers of one stream lie milliseconds. A longer step means that the sensor's clock was restarted."""
@@ -223,9 +228,9 @@ class MetavisionEvk4(UsbCameraDriver):
             stream.start()
             return self._poll(stream, duration_s)
         except RuntimeError as error:
-            raise self._lost(error, path) from error
+            raise incomplete_recording_error(self._lost(error), path) from error
         except CameraLost as error:
-            raise self._lost(error, path) from error
+            raise incomplete_recording_error(error, path) from error
         finally:
             for end in (stream.stop_log_raw_data, stream.stop):
                 with suppress(RuntimeError):
@@ -244,11 +249,7 @@ class MetavisionEvk4(UsbCameraDriver):
                 return False
             if ready == 0:
                 if self._clock.monotonic() > deadline:
-                    raise CameraLost(
-                        f"The camera has sent nothing for {self.SILENCE_S:g} s.",
-                        where=self._where,
-                        remedy=_RECONNECT,
-                    )
+                    raise self._silent()
                 self._clock.sleep(_POLL_S)
                 continue
             decoder.decode(stream.get_latest_raw_data())
@@ -299,11 +300,5 @@ class MetavisionEvk4(UsbCameraDriver):
             )
         self._factory = factory_biases(self._device, identity.sensor, where=self._where)
 
-    def _lost(self, error: Exception, path: Path | None = None) -> CameraLost:
-        kept = f" What was recorded before is in {path}." if path else ""
-        cause = (
-            error.what
-            if isinstance(error, CameraError)
-            else f"The connection to the camera is lost ({reason_of(error)})."
-        )
-        return CameraLost(cause + kept, where=self._where, remedy=_RECONNECT)
+    def _lost(self, error: RuntimeError) -> CameraLost:
+        return connection_lost(reason_of(error), self._where)

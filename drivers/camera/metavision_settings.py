@@ -12,8 +12,14 @@ from typing import Any, Final
 
 from drivers.camera import CameraSettings
 from drivers.camera.metavision_discovery import reason_of
-from drivers.camera.recording import BIASES, check_bias, refuse_unknown_biases
-from drivers.errors import CameraLost, CameraSettingRefused
+from drivers.camera.recording import (
+    BIASES,
+    check_bias,
+    connection_lost,
+    refuse_filters,
+    refuse_unknown_biases,
+)
+from drivers.errors import CameraSettingRefused
 
 _NOT_MEASURED: Final = -1.0
 """OpenEB 5.1.1, ``imx636_tz_device.cpp``: temperature and illumination if the sensor does not end the measurement."""
@@ -95,12 +101,7 @@ def apply_settings(
             with _refusal(f"switch off {getter.removeprefix('get_i_')}", where):
                 facility.enable(False)
     _set_roi(device, hal, settings.roi, where)
-    if left_on := [name for name, on in read_filters(device, hal, where=where).items() if on]:
-        raise CameraSettingRefused(
-            f"The on-chip filters {', '.join(left_on)} could not be switched off.",
-            where=where,
-            remedy="Reconnect the camera; a filter falsifies the recording.",
-        )
+    refuse_filters(read_filters(device, hal, where=where), where)
     trigger_in = _set_trigger_in(device, hal, settings.trigger_in, where)
     return CameraSettings(read_biases(device, where=where), trigger_in, settings.roi)
 
@@ -196,11 +197,7 @@ def _refusal(doing: str, where: str) -> Iterator[None]:
     except RuntimeError as error:
         reason = reason_of(error)
         if _CONNECTION.search(str(error)):
-            raise CameraLost(
-                f"The connection to the camera is lost ({reason}); it could not {doing}.",
-                where=where,
-                remedy="Check the camera's cable and power, then resume the run.",
-            ) from error
+            raise connection_lost(f"{reason}; it could not {doing}", where) from error
         raise CameraSettingRefused(
             f"The camera refused to {doing} ({reason}).",
             where=where,

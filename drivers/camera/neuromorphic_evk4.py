@@ -24,6 +24,7 @@ from drivers.camera.recording import (
     BIASES,
     UsbCameraDriver,
     check_bias,
+    connection_lost,
     recording_facts,
     refuse_roi,
     refuse_unknown_biases,
@@ -219,11 +220,7 @@ class NeuromorphicEvk4(UsbCameraDriver):
             return None
 
     def _lost(self, error: Exception | str) -> CameraLost:
-        return CameraLost(
-            f"The connection to the camera is lost ({error}).",
-            where=self._where,
-            remedy="Check the camera's cable and power, then resume the run.",
-        )
+        return connection_lost(str(error), self._where)
 
 
 class PacketStream:

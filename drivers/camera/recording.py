@@ -64,6 +64,13 @@ class RecordingOutcome:
     complete: bool  # Whether the recording covers its whole duration
 
 
+def connection_lost(
+    how: str, where: str, remedy: str = "Check the camera's cable and power, then resume the run."
+) -> CameraLost:
+    """Build the error of a camera that its software reaches no more."""
+    return CameraLost(f"The connection to the camera is lost ({how}).", where=where, remedy=remedy)
+
+
 def compile_decoder() -> None:
     """Compile the loop that counts words, so that the first recording does not wait for the compiler."""
     Evt3Decoder(1, 1).tally(np.frombuffer(_CLOCK_AT_ZERO, "<u2"))
@@ -86,6 +93,16 @@ def refuse_unknown_biases(settings: CameraSettings, known: Sequence[str], where:
             f"The camera has no bias {', '.join(unknown)}.",
             where=where,
             remedy=f"Use the biases of this camera: {', '.join(known)}.",
+        )
+
+
+def refuse_filters(filters: Mapping[str, bool], where: str) -> None:
+    """Refuse filters that are on after they were switched off. Raises CameraSettingRefused."""
+    if left_on := [name for name, on in filters.items() if on]:
+        raise CameraSettingRefused(
+            f"The on-chip filters {', '.join(left_on)} could not be switched off.",
+            where=where,
+            remedy="Reconnect or restart the camera; a filter falsifies the recording.",
         )
 
 
@@ -129,6 +146,13 @@ class EventCameraDriver(ABC):
                 remedy=self.OTHER_CAMERA_REMEDY,
             )
         return identity
+
+    def _silent(self) -> CameraLost:
+        return CameraLost(
+            f"The sensor's clock has stood still for {self.SILENCE_S:g} s.",
+            where=self._where,
+            remedy="Check the camera's cable and power (or its simulator), then resume the run.",
+        )
 
     def _begin(self, duration_s: float) -> None:
         """Begin a recording; raise `RecordingFailed` if its duration is not positive and finite."""
@@ -178,11 +202,7 @@ class EventCameraDriver(ABC):
                 covered_us = decoder.covered_us
                 deadline = self._clock.monotonic() + self.SILENCE_S
             elif self._clock.monotonic() > deadline:
-                raise CameraLost(
-                    f"The sensor's clock has stood still for {self.SILENCE_S:g} s.",
-                    where=self._where,
-                    remedy="Check the camera's cable and power (or its simulator), then resume the run.",
-                )
+                raise self._silent()
             self._clock.sleep(0.0)
             words = source.next_words()
             if words == b"":

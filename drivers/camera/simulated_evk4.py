@@ -20,6 +20,7 @@ from drivers.camera.recording import (
     BIASES,
     EventCameraDriver,
     recording_facts,
+    refuse_filters,
     refuse_roi,
     refuse_unknown_biases,
 )
@@ -76,11 +77,7 @@ class SimulatedEvk4Camera(EventCameraDriver):
         """Read the camera's identity; refuse another serial number than at opening, a missing field, or no EVT3."""
         answer = self._ask("identify")
         if (encoding := self._value(answer, "format", str)) != "EVT3":
-            raise ReplyGarbled(
-                f"The camera sends {encoding}, not EVT3.",
-                where=self._where,
-                remedy="Use a simulator of the same version as Starbench.",
-            )
+            raise self._line.garbled(f"The camera sends {encoding}, not EVT3.")
         identity = CameraIdentity(
             maker=self._value(answer, "maker", str),
             model=self._value(answer, "model", str),
@@ -109,12 +106,7 @@ class SimulatedEvk4Camera(EventCameraDriver):
                 where=self._where,
                 remedy="Use values that the camera can represent.",
             )
-        if left_on := [name for name, on in self.filters().items() if on]:
-            raise CameraSettingRefused(
-                f"The on-chip filters {', '.join(left_on)} could not be switched off.",
-                where=self._where,
-                remedy="Restart the camera; a filter falsifies the recording.",
-            )
+        refuse_filters(self.filters(), self._where)
         return present
 
     def filters(self) -> Mapping[str, bool]:
@@ -158,7 +150,7 @@ class SimulatedEvk4Camera(EventCameraDriver):
 
     @property
     def _where(self) -> str:
-        return f"camera at {self._line.address}"
+        return self._line.where
 
     def _ask(self, command: str, **parameters: Any) -> Mapping[str, Any]:
         with self._in_use:
@@ -192,11 +184,7 @@ class SimulatedEvk4Camera(EventCameraDriver):
         return number
 
     def _garbled(self, key: str, answer: Mapping[str, Any]) -> ReplyGarbled:
-        return ReplyGarbled(
-            f'The answer holds no valid "{key}": {dict(answer)!r:.200}.',
-            where=self._where,
-            remedy="Use a simulator of the same version as Starbench.",
-        )
+        return self._line.garbled(f'The answer holds no valid "{key}": {dict(answer)!r:.200}.')
 
 
 class _Stream:
