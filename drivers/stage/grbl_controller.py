@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, ReplyGarbled, ReplyTimeout
+from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, ReplyTimeout
 from drivers.link import Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import grbl_protocol, motion
@@ -91,11 +91,7 @@ class GrblController(Link):
     def require_awake(self) -> None:
         """Refuse an exchange (`MoveFailed`) with a board that has stopped at an alarm: homing resets it."""
         if self.needs_reset:
-            raise MoveFailed(
-                f"{self.firmware.alarm(self.alarms[-1])}. The board stopped all axes and waits for a reset.",
-                where=self.name,
-                remedy=_CLEAR_ALARM,
-            )
+            raise self._alarmed("stopped all axes and waits for a reset")
 
     def wake(self) -> None:
         """Reset a board that waits for a reset. Its motion has ended and its reference is lost already.
@@ -115,11 +111,7 @@ class GrblController(Link):
                     break
             self.mark_out_of_step()
         if self.restarts == restarts and self.needs_reset:
-            raise MoveFailed(
-                f"{self.firmware.alarm(self.alarms[-1])}. The board does not take a reset.",
-                where=self.name,
-                remedy=_CLEAR_ALARM,
-            )
+            raise self._alarmed("does not take a reset")
         if self.restarts == restarts:
             self.write(
                 b"\n"
@@ -214,6 +206,10 @@ class GrblController(Link):
 
     # ------------------------------------------------------------ inside
 
+    def _alarmed(self, state: str) -> MoveFailed:
+        what = f"{self.firmware.alarm(self.alarms[-1])}. The board {state}."
+        return MoveFailed(what, where=self.name, remedy=_CLEAR_ALARM)
+
     def _query_status_once(self) -> StatusReport:
         def read_reply(reader: ReplyReader) -> StatusReport:
             self._awaits_report = True
@@ -224,13 +220,9 @@ class GrblController(Link):
                 self._awaits_report = False
             report = grbl_protocol.parse_report(line)
             if report is None:
-                raise ReplyGarbled(
-                    f"{line[:80]!r} came instead of a status report.",
-                    where=self.name,
-                    remedy=_FIRMWARES
-                    if line.startswith(b"<") and line.rstrip().endswith(b">")
-                    else "Check the cable.",
-                )
+                is_whole = line.startswith(b"<") and line.rstrip().endswith(b">")
+                what = f"{line[:80]!r} came instead of a status report."
+                raise self.garbled_reply(what, _FIRMWARES if is_whole else "Check the cable.")
             if self._reports_axes and len(report.machine_position) != self._reports_axes:
                 raise grbl_protocol.no_position(self.name)  # a letter or a comma got lost
             self._reports_axes = len(report.machine_position)
@@ -259,9 +251,7 @@ class GrblController(Link):
         while grbl_protocol.parse_response(line := reader.read_line()) is None:
             lines.append(line)
             if len(lines) > _LONGEST_REPLY:
-                raise ReplyGarbled(
-                    f"the answer to {sent} never ends.", where=self.name, remedy="Check the port."
-                )
+                raise self.garbled_reply(f"the answer to {sent} never ends.")
         self._raise_if_error(sent, line)
         return lines
 
@@ -342,16 +332,13 @@ class GrblController(Link):
         except ReplyTimeout as error:
             if response is None or error.late_s:
                 raise
-            raise ReplyGarbled(
-                "the board answers ok to a line that is no command.", where=self.name, remedy=_FIRMWARES
-            ) from error
+            what = "the board answers ok to a line that is no command."
+            raise self.garbled_reply(what, _FIRMWARES) from error
 
     def _read_single_ok(self, reader: ReplyReader) -> None:
         line = reader.read_line()
         if grbl_protocol.parse_response(line) != grbl_protocol.OK:
-            raise ReplyGarbled(
-                f"{line[:80]!r} answers an empty line.", where=self.name, remedy="Check the port."
-            )
+            raise self.garbled_reply(f"{line[:80]!r} answers an empty line.")
 
     def _take_push_messages(self, old: bytes) -> None:
         """Note the restarts and alarms in bytes that are thrown away."""

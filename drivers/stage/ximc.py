@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
+from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.link import TRIES, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, ximc_protocol
@@ -121,11 +121,8 @@ class XimcController(AxisController):
     def _read_division(self) -> int:
         mode = self.read_settings(EngineSettings).microstep_mode
         if not 1 <= mode <= 9:
-            raise ReplyGarbled(
-                f"unknown step division mode {mode}.",
-                where=self.name,
-                remedy="Look the mode up in the controller's manual.",
-            )
+            what = f"unknown step division mode {mode}."
+            raise self.garbled_reply(what, "Look the mode up in the controller's manual.")
         return 1 << (mode - 1)
 
     def _query(self, command: str, layout: struct.Struct, *, tries: int = TRIES) -> tuple[Any, ...]:

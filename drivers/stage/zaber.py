@@ -149,16 +149,13 @@ class ZaberChain(Link):
             reply = zaber_protocol.parse_reply(line, self.name, without_checksum=not strict)
             if (reply.device, reply.axis, reply.message_id) != (device, axis, message_id):
                 if (reply.message_id - message_id) % _MESSAGE_IDS in _ANSWERED_ALREADY:
-                    raise ReplyGarbled(
+                    raise self.garbled_reply(
                         f"a second answer to one request came from device {reply.device}.",
-                        where=self.name,
-                        remedy="Two devices of the chain may have this address, as they come from the factory: send"
+                        "Two devices of the chain may have this address, as they come from the factory: send"
                         " 'renumber', then correct the addresses in the station file.",
                     )
-                raise ReplyGarbled(
-                    f"the answer to another request came: {reply}.",
-                    where=self.name,
-                    remedy="Look into the wire log.",
+                raise self.garbled_reply(
+                    f"the answer to another request came: {reply}.", "Look into the wire log."
                 )
             return reply
 
