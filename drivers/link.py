@@ -329,10 +329,8 @@ class Link(ABC):
                     break  # a device that tells its state all the time says nothing else
                 if time.monotonic() > end:
                     self._buffer.clear()
-                    raise ReplyGarbled(
-                        f"the device sends without pause for {self.longest_drain_s:g} s.",
-                        where=self.name,
-                        remedy="Check the port and the baud rate in the station file.",
+                    raise self.garbled_reply(
+                        f"the device sends without pause for {self.longest_drain_s:g} s."
                     )
             thrown = bytes(self._buffer)
             self._buffer.clear()
@@ -344,7 +342,6 @@ class Link(ABC):
         *,
         marker_s: float | None = None,
         failed: str = "more bytes come than were asked for.",
-        remedy: str = "Check the port and the cable.",
         clear_device: Callable[[], object] = do_nothing,
         inspect_old: Callable[[bytes], object] = do_nothing,
         silence_after: bool = True,
@@ -354,7 +351,7 @@ class Link(ABC):
 
         The proof is a marker: a request whose answer cannot be the answer to an older request. The line is in step when
         the marker is answered and, with ``silence_after`` (a protocol without message ids), nothing follows its answer;
-        else ``failed`` and ``remedy`` are told. There are two attempts.
+        else ``failed`` is told. There are two attempts.
 
         ``exchange_marker`` returns False when its answer is not the expected one, and raises `ReplyError` for no valid
         answer within ``marker_s`` (None: ``reply_s``). ``clear_device`` makes the device forget the beginning of a
@@ -378,7 +375,7 @@ class Link(ABC):
             if expected and not followed:
                 self._proven = True
                 return
-        raise ReplyGarbled(failed, where=self.name, remedy=remedy)
+        raise self.garbled_reply(failed)
 
     def listen(self, duration_s: float) -> None:
         """Wait for bytes on the line. No clock interrupts this wait: it is for stopping only."""
@@ -421,11 +418,7 @@ class Link(ABC):
         if end < 0 or end > LONGEST_LINE:
             begins = bytes(self._buffer[:40])
             self._buffer.clear()
-            raise ReplyGarbled(
-                f"a line of more than {LONGEST_LINE} bytes: {begins!r}...",
-                where=self.name,
-                remedy="Check the port and the baud rate in the station file.",
-            )
+            raise self.garbled_reply(f"a line of more than {LONGEST_LINE} bytes: {begins!r}...")
         return self.take(end + len(self.terminator))
 
     # ------------------------------------------------------------ inside

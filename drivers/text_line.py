@@ -59,7 +59,6 @@ class TextLine(Link):
         request_end: bytes = b"\n",
         reply_end: bytes = b"\n",
         reply_s: float = REPLY_S,
-        unsolicited: Callable[[bytes], bool] | None = None,
         wire_log: WireLog | None = None,
     ) -> None:
         self._identity_query = identity_query
@@ -67,7 +66,6 @@ class TextLine(Link):
         self._identity_form = identity_form
         self._request_end = request_end
         self.terminator = reply_end
-        self._unsolicited = unsolicited
         self.reply_s = reply_s
         super().__init__(port, clock=clock, wire_log=wire_log)
         self.identity_text = ""
@@ -108,10 +106,6 @@ class TextLine(Link):
         """Send a command that has no reply at once, without resynchronising: for stopping and switching off."""
         with self.urgently():
             self.send(command)
-
-    def take_unsolicited(self, line: bytes) -> bool:
-        """See `Link.take_unsolicited`."""
-        return self._unsolicited is not None and self._unsolicited(line)
 
     def inspect_old(self, old: bytes) -> None:
         """Look at bytes, of any number of lines, that are thrown away, for messages that nobody asked for."""
@@ -157,7 +151,6 @@ class TextLine(Link):
         self.prove_in_step(
             is_known,
             failed=f"no clear answer to {self._identity_query}, though the device answered it before.",
-            remedy=self.GARBLED_REMEDY,
             inspect_old=self.inspect_old,
         )
 

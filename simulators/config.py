@@ -30,7 +30,7 @@ from simulators.reading import (
     text,
 )
 from simulators.world.gimbal import AXES, GimbalTruth
-from simulators.world.truth import Truth
+from simulators.world.truth import ThermalTruth, Truth
 from simulators.world.truth_config import truth_from_config
 from simulators.world.world import AxisName
 
@@ -99,19 +99,14 @@ class LightConfig(Section):
 
 
 @dataclass(frozen=True)
-class Night(Section):
-    """Conditions of a night: section ``rehearsal``."""
+class Night(ThermalTruth):
+    """Conditions of a night, the camera's temperature among them: section ``rehearsal``."""
 
-    covered_share: NotNegative = 0.0  # Share of the recordings in which something covers the camera's view
-    # Relative change of the focal length with the camera's temperature, 1e-6 per degree.
-    focal_ppm_per_c: Number = 0.0
-    lost_share: NotNegative = 0.0  # Share of the recordings that the camera does not complete
     room_c: Number = 22.0
-    room_c_per_h: Number = 0.0
-    # Final temperature of the camera above the room, and the time constant of its rise after switching on.
-    self_heating_c: Number = 18.0
-    star_sigma_px: NotNegative = 0.03  # Noise of a star's centre, in x and in y, 1 sigma
     warm_up_min: NotNegative = 20.0
+    covered_share: NotNegative = 0.0  # Share of the recordings in which something covers the camera's view
+    lost_share: NotNegative = 0.0  # Share of the recordings that the camera does not complete
+    star_sigma_px: NotNegative = 0.03  # Noise of a star's centre, in x and in y, 1 sigma
 
 
 @dataclass(frozen=True)

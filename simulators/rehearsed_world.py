@@ -8,9 +8,8 @@ each axis came matters too.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from simulators.config import BenchConfig, bench_config
 from simulators.optics.lens_focus import truth_record
 from simulators.optics.picture import star_centres, true_rotation
+from simulators.world import drift
 from simulators.world.gimbal import Gears
 from simulators.world.truth import Truth
 
@@ -28,8 +28,6 @@ _CLEARANCE_SQUARES = 1.0
 _BORDER_PX = 6.0
 _COVERED_STARS = 20
 """Stars that remain visible if something covers the camera's view."""
-_REFERENCE_C = 40.0
-"""Camera temperature at which the focal lengths are those of section ``camera``."""
 
 
 @dataclass(frozen=True)
@@ -55,15 +53,11 @@ class RehearsedWorld:
 
     def temperature_c(self, on_s: float) -> float:
         """Return the temperature of the camera."""
-        night = self.night
-        warm = -math.expm1(-max(0.0, on_s) / (60.0 * night.warm_up_min)) if night.warm_up_min else 1.0
-        return night.room_c + night.room_c_per_h * on_s / 3600.0 + night.self_heating_c * warm
+        return drift.temperature_c(self.night, on_s)
 
     def truth(self, on_s: float) -> Truth:
         """Return the truth at a time: the lens follows the camera's temperature."""
-        stretch = 1.0 + 1e-6 * self.night.focal_ppm_per_c * (self.temperature_c(on_s) - _REFERENCE_C)
-        camera = self._truth.camera
-        return replace(self._truth, camera=replace(camera, fx=camera.fx * stretch, fy=camera.fy * stretch))
+        return drift.truth_at_temperature(self._truth, self.night, self.temperature_c(on_s))
 
     def truth_record(self, on_s: float) -> dict[str, Any]:
         """Return the truth at a time as ``truth.json`` holds it, with the focal lengths of the lens's focus."""

@@ -257,7 +257,6 @@ class DescribedLine(Link):
             is_known,
             failed=f"no clear answer to '{self._description.identity.send.text}', though the device answered it"
             " before.",
-            remedy=self.GARBLED_REMEDY,
             clear_device=self._clear_device,
             inspect_old=self._take_from,
             once_if_silent=True,

@@ -319,7 +319,6 @@ class GrblController(Link):
             exchange_marker,
             marker_s=_MARKER_S,
             failed="the board sends more than it was asked for.",
-            remedy="Check the port.",
             inspect_old=self._take_push_messages,
         )
 

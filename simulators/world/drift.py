@@ -38,9 +38,9 @@ def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
     return round(round(exact / STEP_C) * STEP_C, 2)
 
 
-def truth_at_temperature(truth: Truth, at_c: float) -> Truth:
+def truth_at_temperature(truth: Truth, thermal: ThermalTruth, at_c: float) -> Truth:
     """Return the truth with the focal lengths of a temperature; the same object if they are unchanged."""
-    stretch = 1.0 + 1e-6 * truth.thermal.focal_ppm_per_c * (at_c - REFERENCE_C)
+    stretch = 1.0 + 1e-6 * thermal.focal_ppm_per_c * (at_c - REFERENCE_C)
     if stretch == 1.0:
         return truth
     camera = replace(truth.camera, fx=truth.camera.fx * stretch, fy=truth.camera.fy * stretch)

@@ -319,5 +319,5 @@ class World:
 
     def truth_at(self, t_s: float) -> Truth:
         """Return the truth at a time, with its temperature's focal lengths, and focus in section ``lens``."""
-        truth = drift.truth_at_temperature(self.truth, self.temperature_c(t_s))
+        truth = drift.truth_at_temperature(self.truth, self.truth.thermal, self.temperature_c(t_s))
         return with_setup(truth, self.camera_setup(t_s))
