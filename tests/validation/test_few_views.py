@@ -37,6 +37,7 @@ def test_what_is_stated_of_triples_is_not_larger_than_their_scatter(scatter):
     assert np.sqrt(np.mean(u_px**2)) <= 1.2 * found_px.std()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chosen", [(1, 9, 18), (3, 6, 18)])
 def test_right_ids_of_a_camera_that_a_hand_moved_are_not_doubted(collimator_recordings, chosen):
     """Shifted ids explain their errors better: the pupil may have been elsewhere."""

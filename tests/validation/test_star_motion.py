@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from slow_cases import first_quick
 
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
@@ -37,7 +38,7 @@ def _images(truth, rotation, seed, noise):
 
 @pytest.mark.parametrize(
     ("shift_px", "noise", "roll_deg"),
-    [(0.05, "heavy", 17), (0.3, "typical", 45), (1.0, "heavy", 0)],
+    first_quick([(0.05, "heavy", 17), (0.3, "typical", 45), (1.0, "heavy", 0)]),
 )
 def test_the_shift_between_the_halves_is_right_to_a_hundredth_of_a_pixel(shift_px, noise, roll_deg):
     truth = Truth()

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from slow_cases import first_quick
 from waiting import wait_until
 
 ROOT = Path(__file__).parents[3]
@@ -61,13 +62,16 @@ def test_the_core_lists_plans_and_draws(core):
 
 @pytest.mark.parametrize(
     ("words", "extra"),
-    [
-        (["history", "charts"], "bench.extras.history"),
-        (["certificate", "new", "lab.yaml"], "bench.extras.certificate"),
-        (["schema", "lab"], "bench.extras.certificate"),
-        (["verify", "."], "bench.extras.certificate"),
-        (["calibrate", ".", "--each", "--workers", "2"], "bench.extras.many"),
-    ],
+    first_quick(
+        [
+            (["history", "charts"], "bench.extras.history"),
+            (["certificate", "new", "lab.yaml"], "bench.extras.certificate"),
+            (["schema", "lab"], "bench.extras.certificate"),
+            (["verify", "."], "bench.extras.certificate"),
+            (["calibrate", ".", "--each", "--workers", "2"], "bench.extras.many"),
+        ],
+        3,
+    ),
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
 def test_what_needs_an_extra_says_which(core, words, extra):

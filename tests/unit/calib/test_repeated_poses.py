@@ -83,6 +83,7 @@ def test_repeats_of_a_pose_do_not_average_out_what_differs_from_pose_to_pose(pro
     assert (np.median(harm, axis=0) < 1.15)[asked].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("common_share", "factor"), [(0.0, 0.5), pytest.param(1.0, 1.0, marks=pytest.mark.slow)]
 )

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from click.shell_completion import get_completion_class
+from slow_cases import first_quick
 
 from bench.commands.cli import cli
 from bench.record.events import Event
@@ -38,15 +39,18 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("words", "status", "unwanted"),
-    [
-        (["status", "{run}"], 0, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
-        (["status", "{run}/none"], 2, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
-        (["runs", "{run}"], 0, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
-        (["statuss"], 2, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
-        (["plan", "three_pos", "-s", "simulated"], 2, PLOTS_AND_ENGINE),
-        (["plan", "three_pose", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy", "cryptography"}),
-        (["plan", "until_good", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy", "cryptography"}),
-    ],
+    first_quick(
+        [
+            (["status", "{run}"], 0, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
+            (["status", "{run}/none"], 2, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
+            (["runs", "{run}"], 0, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
+            (["statuss"], 2, PLOTS_AND_ENGINE | {"numpy", "scipy"}),
+            (["plan", "three_pos", "-s", "simulated"], 2, PLOTS_AND_ENGINE),
+            (["plan", "three_pose", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy", "cryptography"}),
+            (["plan", "until_good", "-s", "simulated"], 0, PLOTS_AND_ENGINE | {"scipy", "cryptography"}),
+        ],
+        2,
+    ),
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_small_commands_load_little(folder, tmp_path, words, status, unwanted):

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_views import made_rim, made_view
 
@@ -23,6 +23,7 @@ def stored_of(view):
     return StoredView(view, RNG.normal(size=(len(view), 2)), lambda: picture)
 
 
+@settings(max_examples=25)
 @given(st.lists(st.integers(4, 20), max_size=12), st.text(min_size=1).filter(lambda text: "\0" not in text))
 def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, stars, name):
     name = name.encode("utf-8", "replace").decode()

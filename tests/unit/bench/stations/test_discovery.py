@@ -8,6 +8,7 @@ import types
 import pytest
 from calling import call, out_of
 from filled_stations import filled, filled_example
+from slow_cases import first_quick
 
 from bench.base.clock import BenchClock
 from bench.commands.station import station_new
@@ -120,14 +121,17 @@ def test_sections_that_a_draft_and_each_example_offer_as_comments_are_accepted(t
 
 @pytest.mark.parametrize(
     ("light", "driver", "stage"),
-    [
-        ("keysight", "scpi", "zaber_ascii"),
-        ("rigol", "scpi", "ximc"),
-        ("siglent", "scpi", "esp30x"),
-        ("gardasoft", "gardasoft", "grbl"),
-        ("microcontroller", "text", "text"),
-        ("keysight", "scpi", "thorlabs_apt"),
-    ],
+    first_quick(
+        [
+            ("keysight", "scpi", "zaber_ascii"),
+            ("rigol", "scpi", "ximc"),
+            ("siglent", "scpi", "esp30x"),
+            ("gardasoft", "gardasoft", "grbl"),
+            ("microcontroller", "text", "text"),
+            ("keysight", "scpi", "thorlabs_apt"),
+        ],
+        2,
+    ),
 )
 def test_every_stage_and_every_light_has_a_stand_in_that_can_be_planned(tmp_path, light, driver, stage):
     path = tmp_path / "practice.yaml"

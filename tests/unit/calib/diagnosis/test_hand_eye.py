@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_gimbal import AXES, DrawnGimbal, draw_gimbal
+from slow_cases import first_quick
 
 from calib.diagnosis import weighed_suspects
 from calib.diagnosis.hand_eye import check_hand_eye
@@ -139,7 +140,7 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("name", MISTAKES)
+@pytest.mark.parametrize("name", first_quick(MISTAKES, 4))
 def test_a_mistake_is_named_alone_or_as_one_of_three(name):
     kind, change = MISTAKES[name]
     rng = np.random.default_rng(5)
@@ -154,14 +155,17 @@ def test_a_mistake_is_named_alone_or_as_one_of_three(name):
 
 @pytest.mark.parametrize(
     ("seed", "slip", "others"),
-    [
-        (1, (0, 4, 0.05), {}),
-        (3, (0, 4, -6.0), {}),
-        (4, (1, 4, 0.05), {"wrong": (7, 0.3)}),
-        (5, (0, 4, 0.3), {"wrong": (1, 0.5)}),
-        (6, (2, 5, 0.2), {"roll_range_deg": 90.0}),
-        (7, (0, 2, 0.2), {"poses": 5}),
-    ],
+    first_quick(
+        [
+            (1, (0, 4, 0.05), {}),
+            (3, (0, 4, -6.0), {}),
+            (4, (1, 4, 0.05), {"wrong": (7, 0.3)}),
+            (5, (0, 4, 0.3), {"wrong": (1, 0.5)}),
+            (6, (2, 5, 0.2), {"roll_range_deg": 90.0}),
+            (7, (0, 2, 0.2), {"poses": 5}),
+        ],
+        2,
+    ),
 )
 def test_a_slip_is_named_with_axis_pose_and_size(seed, slip, others):
     check = judged(draw_gimbal(seed, **(NINE | others), slip=slip))
@@ -176,7 +180,7 @@ def test_a_slip_is_named_with_axis_pose_and_size(seed, slip, others):
 
 
 @pytest.mark.parametrize("birge_ratio", [1.0, 7.0])
-@pytest.mark.parametrize("poses", [3, 9])
+@pytest.mark.parametrize("poses", first_quick([3, 9]))
 def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
     for seed in (20, 21):
         check = judged(draw_gimbal(seed, **(NINE | {"poses": poses}), **BIASED), birge_ratio=birge_ratio)
@@ -263,14 +267,17 @@ def test_a_scale_that_the_focal_length_or_what_is_stated_explains_is_no_fault():
 
 @pytest.mark.parametrize(
     ("signs", "axes"),
-    [
-        ((-1, 1, 0), "pan or of tilt"),
-        ((1, 1, -1), "roll"),
-        ((-1, 1, 1), "pan or of tilt"),
-        ((-1, 1, -1), "roll and of one other axis"),
-        ((1, 1, 1), ""),
-        ((-1, -1, 0), ""),  # a camera mounted upside down
-    ],
+    first_quick(
+        [
+            ((-1, 1, 0), "pan or of tilt"),
+            ((1, 1, -1), "roll"),
+            ((-1, 1, 1), "pan or of tilt"),
+            ((-1, 1, -1), "roll and of one other axis"),
+            ((1, 1, 1), ""),
+            ((-1, -1, 0), ""),  # a camera mounted upside down
+        ],
+        2,
+    ),
 )
 def test_a_wrong_sign_is_named(signs, axes):
     rng = np.random.default_rng(3)

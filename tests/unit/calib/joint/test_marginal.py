@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from slow_cases import first_quick
 
 from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
@@ -120,7 +121,9 @@ def test_at_the_state_of_a_fault_nothing_is_said_of_a_state_far_away(views):
     assert result.faults[CERTIFICATE] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("name", [CERTIFICATE, "scale of pan", "pupil and defocus", "square pixels"])
+@pytest.mark.parametrize(
+    "name", first_quick([CERTIFICATE, "square pixels", "scale of pan", "pupil and defocus"], 2)
+)
 def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(optimum, name):
     innovation = next(
         candidate for candidate in posterior(modes_of(optimum), 30).innovations() if candidate.name == name
@@ -394,6 +397,7 @@ def test_proof_that_a_glass_is_another_one_frees_its_radius_too():
     assert abs(line["error"]["fx"]) < 2.0 * line["U"]["fx"]
 
 
+@pytest.mark.slow
 def test_scale_of_the_print_is_expected_of_nobody_without_a_certificate(bench):
     views = bench.views(np.random.default_rng(62), 0.02)
     term = TypeBTerm("scale of the print", "print_scale", 2e-5, "station", "rectangular")

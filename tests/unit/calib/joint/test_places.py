@@ -91,6 +91,7 @@ def test_a_search_that_begins_badly_ends_where_the_camera_is():
     assert result.sigma["fx"] < 100.0
 
 
+@pytest.mark.slow
 def test_three_poses_whose_discs_show_no_gimbal_are_calibrated_without_one():
     """A hand moved the mount. As if on a gimbal, fx was 43 px wrong with U of 32 px."""
     bench = WORLDS["product-S1"](73, 3, 1, 0)

@@ -70,6 +70,7 @@ def test_edges_along_the_pixel_grid_have_less_weight(monkeypatch):
     assert rms(weighted.centres, centres) < 0.92 * rms(alike.centres, centres)
 
 
+@pytest.mark.slow
 def test_light_that_falls_off_across_a_star_is_measured_and_shifts_it_little():
     image, centres, shape = stars(17.0, fall_off=True)
     likely = refine_by_likelihood(quantise(image), centres, shape, TARGET)

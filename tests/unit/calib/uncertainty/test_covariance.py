@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from monte_carlo_runs import jackknife
+from slow_cases import first_quick
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews
@@ -29,7 +30,7 @@ def in_the_band(z):
 
 
 @pytest.mark.parametrize(
-    "options", [CalibrationOptions("spherical"), CalibrationOptions(model="planar", loss="l2")]
+    "options", first_quick([CalibrationOptions("spherical"), CalibrationOptions(model="planar", loss="l2")])
 )
 def test_sigmas_are_those_of_repeated_calibrations(bench, options):
     z = z_scores(bench, options, 30, 12)

@@ -147,5 +147,5 @@ class Bench(RuleBasedStateMachine):
         assert len(self.bench.motions()) <= self.ordered
 
 
-Bench.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)
+Bench.TestCase.settings = settings(max_examples=50, stateful_step_count=30, deadline=None)
 TestBench = Bench.TestCase

@@ -8,9 +8,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from imported import import_events
+from slow_cases import first_quick
 
 from drivers.camera.event_arrays import MAX_TIME_US, Events, Triggers, empty_events, empty_triggers
 from drivers.camera.evt3 import Evt3Decoder
@@ -30,7 +31,7 @@ WITH_EDGES = [kind for kind in KINDS if kind not in {"parquet", "csv"}]
 
 
 @pytest.mark.parametrize("first", [kind for kind in WITH_EDGES if kind != "raw"])
-@pytest.mark.parametrize("second", WITH_EDGES)
+@pytest.mark.parametrize("second", first_quick(WITH_EDGES))
 def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first, second):
     events, triggers = drawn_stream()
     between, end = tmp_path / f"between{ENDINGS[first]}", tmp_path / f"end{ENDINGS[second]}"
@@ -68,6 +69,7 @@ def test_a_converted_raw_file_says_so_and_keeps_whose_it_was(raw, tmp_path):
     assert again.scan().gap_count == 0
 
 
+@settings(max_examples=30)
 @given(
     st.lists(
         st.tuples(st.integers(0, 60_000_000), st.integers(0, 1279), st.integers(0, 719), st.integers(0, 1))
