@@ -15,7 +15,7 @@ from bench.commands.output import JSON, print_findings, show
 from bench.evidence.authorisations import lost_authorisations
 from bench.evidence.ledger_check import sealed_strangers
 from bench.record.ledger import Ledger, bench_ledger
-from bench.record.ledger_marks import EXPLAIN, Break, runs_of
+from bench.record.ledger_marks import EXPLAIN, runs_of
 
 _LONGEST_REASON = 2000  # A page; more belongs into a file
 
@@ -57,12 +57,7 @@ def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
     faults, explained = ledger.breaks(sealed_strangers(ledger.home, Path()))
     if faults:
         faults[-1] += f" {EXPLAIN}"
-    return faults, [*map(_explained_text, explained)]
-
-
-def _explained_text(explained: Break) -> str:
-    """Return an explained break as text."""
-    return f"{explained} Reason, stated by {explained.by}: {explained.reason}"
+    return faults, [*map(str, explained)]
 
 
 def _check() -> int:

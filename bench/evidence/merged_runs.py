@@ -6,12 +6,13 @@ A run is recognised by the hash of its line in the ledger, so its folder may be 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.base.errors import BenchError, JournalBroken, UsageError
 from bench.evidence.ledger_check import is_sealed_by, other_seal, own_public_keys
-from bench.evidence.public_half import KEY_FILE
+from bench.evidence.public_half import KEY_FILE, read_public
 from bench.record.journal_line import Entry
 from bench.record.ledger import LEDGER, Ledger
 from bench.record.ledger_marks import LedgerRun, runs_of
@@ -84,20 +85,14 @@ def read_source(ledger: Ledger, *, required: bool = True) -> LedgerSource:
         runs,
         frozenset(own_public_keys(ledger.home)),
         [f"{named}: {fault}" for fault in broken],
-        [f"{named}: {note}" for note in [*(_explained(str(b), b.by, b.reason) for b in explained), *ledger.warnings]],
-    )  # fmt: skip
-
-
-def _explained(what: str, by: str | None, reason: str | None) -> str:
-    return f"{what} Reason, stated by {by}: {reason}"
+        [f"{named}: {note}" for note in (*explained, *ledger.warnings)],
+    )
 
 
 def _bench_name(home: Path) -> str:
-    try:
-        words = (home / KEY_FILE).with_suffix(".pub").read_text(encoding="utf-8").split()
-    except (OSError, UnicodeDecodeError):
-        words = []
-    return words[2] if len(words) > 2 else home.resolve().name
+    with suppress(BenchError):
+        return read_public((home / KEY_FILE).with_suffix(".pub"))[1]
+    return home.resolve().name
 
 
 def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:

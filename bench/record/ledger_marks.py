@@ -191,7 +191,8 @@ class Break:
     by: str | None = None  # Who stated it; None while nobody has
 
     def __str__(self) -> str:
-        return f"On {self.utc[:16].replace('T', ' ')} UTC the ledger was found broken: {' '.join(self.what)}"
+        found = f"On {self.utc[:16].replace('T', ' ')} UTC the ledger was found broken: {' '.join(self.what)}"
+        return found if self.reason is None else f"{found} Reason, stated by {self.by}: {self.reason}"
 
 
 @dataclass

@@ -1,4 +1,4 @@
-""""""
+"""The digital calibration certificate: what it states of the certificate, its units, and what a signature adds."""
 
 import dataclasses
 import json

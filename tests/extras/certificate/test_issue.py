@@ -89,6 +89,9 @@ def test_a_change_by_whoever_holds_the_key_is_found_and_no_version_takes_other_n
     if name in {"a value", "a verdict", "simulated", "the customer", "the rule"}:
         with by_another_program():
             assert check_certificate(copied).faults
+
+
+def test_a_file_that_is_missing_is_found(copied):
     (copied / "dcc.xml").unlink()
     assert ("dcc.xml", "missing") in [(fault.where, fault.kind) for fault in check_certificate(copied).faults]
 
