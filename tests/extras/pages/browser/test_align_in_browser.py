@@ -74,25 +74,6 @@ def test_a_person_looks_jogs_stops_and_copies_lines(chromium, bench):
     assert page.hosts == {server.url.split("/")[2]}
 
 
-def test_on_a_phone_nothing_scrolls_inside_a_box_and_ready_names_what_is_not(chromium, bench):
-    server, session, devices = bench
-    devices.stage.homed = False
-    session.bench.stage.look()
-    session.light(level_percent=50.0)
-    page = Tab(chromium, server.url)
-    page.tab.set_viewport_size({"width": 390, "height": 500})
-    page.wait("alignStats.images > 0")
-    page.wait_text("#whole", "Not ready: Stage, Light, Picture.")
-    page.wait_text("#station-lines", "light.high_v: 2.5")
-    inside = (
-        "[...document.querySelectorAll('body *')].filter(one => /auto|scroll/.test(getComputedStyle(one).overflow)"
-        " && (one.scrollHeight > one.clientHeight + 1 || one.scrollWidth > one.clientWidth + 1)).length"
-    )
-    assert page.tab.evaluate(inside) == 0
-    assert page.tab.evaluate("document.documentElement.scrollWidth") == 390
-    page.close()
-
-
 def test_before_home_the_page_turns_to_no_angle(chromium, bench):
     server, session, devices = bench
     devices.stage.homed = False

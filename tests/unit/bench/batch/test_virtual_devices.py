@@ -9,13 +9,12 @@ from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
 from bench.batch.virtual_devices import FIRST_LINE, VirtualDevices, read_view
-from bench.plan.plan import MOVE_EXTRA_S, RECORD_EXTRA_S
+from bench.plan.plan import RECORD_EXTRA_S
 from bench.stations.station import Station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings
 from drivers.errors import NotHomed, OutsideLimits
 from drivers.light import LightSettings
-from drivers.stage.motion import travel_time_s
 from sequences.reader import check_document
 
 
@@ -32,16 +31,6 @@ def station(simulation):
 
 def devices(clock, simulation=b"simulation: {}", seed=1):
     return VirtualDevices(station(simulation), seed=seed, clock=clock)
-
-
-def test_a_move_takes_distance_over_speed_and_ends_at_its_target(clock):
-    stage = devices(clock).stage
-    stage.home()
-    begin_s = clock.monotonic()
-    stage.move_to({"pan": 6.0, "tilt": 1.0})
-    assert clock.monotonic() - begin_s == pytest.approx(travel_time_s(6.0, 40, 200) + MOVE_EXTRA_S)
-    assert stage.position_deg() == {"pan": 6.0, "tilt": 1.0}
-    assert stage.move_duration_s({"pan": 6.0, "tilt": 1.0}, {"pan": 5.0}) == travel_time_s(1.0, 40, 200)
 
 
 def test_nothing_moves_before_homing_or_beyond_a_limit(clock):

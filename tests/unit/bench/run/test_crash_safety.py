@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from journals import CLOCKS
 
-from bench.base.errors import BenchError, StorageError
+from bench.base.errors import StorageError
 from bench.evidence.seal import seal
 from bench.evidence.verify import verify_folder
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name, read_journal, stored_captures
@@ -152,29 +152,26 @@ def see_that_it_goes_on(path, acknowledged, key, signers):
     assert seal_faults(path, signers) == []
 
 
-@pytest.mark.parametrize("spoil", [die_before, die_after])
-def test_a_run_killed_in_any_call_can_be_resumed(tmp_path, monkeypatch, key, signers, spoil):
+@pytest.mark.parametrize(
+    ("spoil", "error"),
+    [
+        (die_before, Died),
+        (die_after, Died),
+        (refuse(errno.ENOSPC), StorageError),
+        (refuse(errno.EACCES), StorageError),
+    ],
+    ids=["killed before", "killed after", "disk full", "no permission"],
+)
+def test_a_run_whose_call_kills_or_fails_can_be_resumed(tmp_path, monkeypatch, key, signers, spoil, error):
     log = calls_of_a_whole_run(tmp_path, monkeypatch, key)
     assert {"open", "write", "fsync", "rename", "mkdir", "unlink", "chmod"} <= set(log)
     for passing in range(len(log)):
         path, acknowledged = tmp_path / f"run{passing}", {}
         with monkeypatch.context() as patch:
             Fault(patch, passing, spoil)
-            with pytest.raises(Died):
+            with pytest.raises(error) as caught:
                 run_once(path, acknowledged, key)
-        see_that_it_goes_on(path, acknowledged, key, signers)
-
-
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
-def test_a_run_whose_call_fails_reports_it_and_can_be_resumed(tmp_path, monkeypatch, key, signers, number):
-    log = calls_of_a_whole_run(tmp_path, monkeypatch, key)
-    for passing in range(len(log)):
-        path, acknowledged = tmp_path / f"run{passing}", {}
-        with monkeypatch.context() as patch:
-            Fault(patch, passing, refuse(number))
-            with pytest.raises(BenchError) as caught:
-                run_once(path, acknowledged, key)
-        assert isinstance(caught.value, StorageError), log[passing]
-        assert caught.value.where.startswith(str(tmp_path)), log[passing]
-        assert caught.value.remedy
+        if error is StorageError:
+            assert caught.value.where.startswith(str(tmp_path)), log[passing]
+            assert caught.value.remedy
         see_that_it_goes_on(path, acknowledged, key, signers)

@@ -26,6 +26,7 @@ from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import sealed_bytes
 from bench.solve.solve_options import ONE_VIEW
 from bench.solve.view_sources import ViewSource, refuse_truncated_jpeg, view_sources
+from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
@@ -188,7 +189,7 @@ def certified(points, passport):
 @pytest.fixture(scope="module")
 def uncertified(points):
     """The calibration of the points alone."""
-    return calibrate_paths([points], options())
+    return calibrate_paths([points], options(model="spherical"))
 
 
 def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
@@ -251,7 +252,7 @@ def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path
     hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
     stated = {"name": str(station), "path": str(station), "sha256": hashed, "text": PLAIN}
     assert described["station"] == {**stated, "passport_source": None}
-
+    station.unlink()
     assert not check_recalculated(tmp_path / "out").faults
     described["option_target"]["pitch_mm"] += 1
     sources.chmod(0o644)
@@ -273,10 +274,15 @@ collimator:
 
 @pytest.mark.slow
 def test_loose_files_take_what_the_station_states_and_say_that_the_stage_s_readings_are_left_out(
-    points, tmp_path, key
+    points, tmp_path, monkeypatch
 ):
     station = tmp_path / "station.yaml"
     station.write_text(STATED)
+    # The adjustment has tests of its own; here a quick one stands for it.
+    monkeypatch.setattr(
+        "bench.solve.solution.calibrate",
+        lambda views, _options: calibrate(views, CalibrationOptions("planar")),
+    )
     result = calibrate_paths([points], options(station=str(station)))
     used = result.options
     assert used.passport.values_by_name["r"] == 255.0
@@ -287,9 +293,6 @@ def test_loose_files_take_what_the_station_states_and_say_that_the_stage_s_readi
     assert used.gimbal is None
     assert str(station) in result.skipped[0]
     assert "gimbal" in result.skipped[0]
-    write_offline_results(result, "out", tmp_path / "out", key)
-    station.unlink()
-    assert not check_recalculated(tmp_path / "out").faults
 
 
 @pytest.mark.parametrize("other", [{"passport": "none"}, {"model": "planar"}])
