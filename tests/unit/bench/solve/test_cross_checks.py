@@ -8,7 +8,7 @@ import pytest
 from expected_stars import expected_views
 
 from bench.base.bounded_json import canonical_json
-from bench.solve.checks import gimbal_check
+from bench.solve.checks import gimbal_check, split_half_check
 from bench.solve.results_content import projection_facts
 from calib.diagnosis.hand_eye_result import OFF_SCALE
 from calib.engine import CalibrationOptions, calibrate
@@ -23,8 +23,20 @@ def views():
     return expected_views([(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES], sigma_px=0.02, seed=3)
 
 
-def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
-    calibration = calibrate(views, CalibrationOptions())
+@pytest.fixture(scope="module")
+def calibration(views):
+    return calibrate(views, CalibrationOptions())
+
+
+def test_halves_differ_by_no_more_than_their_uncertainties_say_and_few_views_have_none(views):
+    quick = CalibrationOptions("spherical", distortion="k1")
+    check = split_half_check(views, quick)
+    assert 0.0 < check.ratio < 2.5
+    assert check.worst_px >= check.rms_px > 0
+    assert split_half_check(views[:3], quick) is None
+
+
+def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(calibration):
     readings = [
         {"pan": pan + 1.0, "tilt": tilt, "pan_encoder": pan / 0.998, "tilt_encoder": tilt}
         for pan, tilt in POSES
@@ -39,11 +51,11 @@ def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
     assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None
 
 
-def test_a_slip_among_small_angles_is_stated_with_pose_and_size(views):
+def test_a_slip_among_small_angles_is_stated_with_pose_and_size(calibration):
     readings = [
         {"pan": pan, "tilt": tilt + (0.2 if index >= 5 else 0.0)} for index, (pan, tilt) in enumerate(POSES)
     ]
-    check = gimbal_check(calibrate(views, CalibrationOptions()), readings)
+    check = gimbal_check(calibration, readings)
     (fault,) = check.faults
     assert (check.agrees, fault["pose"], fault["claimed"]) == (False, 5, True)
     assert abs(fault["size_deg"]) == pytest.approx(0.2, abs=5 * fault["sigma_deg"])
