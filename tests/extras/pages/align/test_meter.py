@@ -181,3 +181,8 @@ def test_missing_sync_edges_are_counted():
     kept = [0, 1, 2, 3, 20, 21, 22, 23]
     signal = measure_signal(counted(12), triggers_of(some.t[kept], some.value[kept]), 60.0)
     assert (signal.triggers, signal.triggers_expected) == (4, 12)
+
+
+def test_edges_without_a_period_are_named():
+    odd = triggers_of([1000, 1700, 9000, 9800, 40_000, 41_000], [1, 0, 1, 0, 1, 0])
+    assert measure_signal(counted(4), odd, 60.0).sync_fault

@@ -14,6 +14,7 @@ from waiting import wait_until
 from bench.base.errors import ScriptError
 from bench.extras.pages.align import serve
 from bench.stations.station import SHIPPED_STATIONS
+from drivers.errors import CameraBusy
 
 
 @pytest.fixture
@@ -98,6 +99,17 @@ def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(aligned, 
     devices.stage.stop_fails = True
     assert aligned(session, lambda: session.is_open) == 1
     assert "stage: not confirmed" in capsys.readouterr().out
+
+
+def test_a_busy_camera_is_named_and_the_page_stays(aligned, capsys):
+    def opener(*_):
+        raise CameraBusy("another program holds it.", where="camera", remedy="Close that program.")
+
+    session, _ = fake_session(opener=opener)
+    assert aligned(session, lambda: session.state()["devices"]["state"] == "failed") == 0
+    out = capsys.readouterr().out
+    assert "camera: another program holds it. Close that program." in out
+    assert out.splitlines()[-1] == "No device was open."
 
 
 def test_the_page_answers_while_the_devices_open(aligned, monkeypatch):

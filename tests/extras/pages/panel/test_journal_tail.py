@@ -108,3 +108,10 @@ def test_a_long_journal_is_read_in_parts(run, monkeypatch):
         assert 0 < tail.read_share <= 1
     assert sum(parts) == 20
     assert len(parts) > 5
+
+
+def test_a_line_longer_than_a_part_is_read_whole(run, monkeypatch):
+    monkeypatch.setattr(journal_tail, "MOST_BYTES", 100)
+    run.write("deviation", what="x" * 5000)
+    tail, _ = _tail(run)
+    assert _events(tail) == ["deviation"]

@@ -118,6 +118,12 @@ def test_the_end_of_a_process_is_told_although_the_journal_is_silent(run, server
         assert stream.until(lambda m: not m["head"]["running"])[-1]["head"]["verdict"] == "interrupted"
 
 
+def test_a_log_is_told_backwards(run, server):
+    log = httpx.get(f"{server.url}api/run/run7/log?before=4").json()["log"]
+    assert [entry["line"] for entry in log] == [1, 2]
+    assert httpx.get(f"{server.url}api/run/run7/log?before=x").status_code == 400
+
+
 def test_an_address_of_no_run_is_one_clear_error(server):
     for path in (
         "api/run/nowhere/events",

@@ -232,6 +232,15 @@ def test_a_line_of_another_version_is_named(run):
     assert _head(run, ProcessState())["verdict"] == "not readable"
 
 
+def test_without_a_plan_the_page_says_so(run):
+    (run.folder / "plan.json").write_text("{")
+    run.record(1)
+    head = _head(run)
+    assert "plan.json is damaged" in head["faults"][0]
+    assert head["left_s"] is None
+    assert head["accepted"] == 1
+
+
 def test_a_folder_without_a_process_is_looked_at(tmp_path):
     run = MadeRun(tmp_path / "run").begin()
     process = look_at_process(run.folder, "slewing")

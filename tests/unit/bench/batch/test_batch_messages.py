@@ -97,6 +97,19 @@ def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, capsy
     assert printed.count("resume") == 1
 
 
+def test_the_end_of_a_batch_names_a_drift_as_the_control_charts_judge_it(tmp_path, capsys):
+    def group(title, *, seen):
+        drift = {"per_day": {"seen": seen}, "per_c": None}
+        chart = {"drift": drift}
+        return {"title": title, "state": "in control", "verdict": f"{title} judged.", "parameters": [chart]}
+
+    charts = {"groups": [group("Camera 1", seen=True), group("Camera 2", seen=False)]}
+    show_summary(tmp_path, summary(item("cam-001"), charts=charts))
+    printed = capsys.readouterr().out
+    assert "Camera 1: Camera 1 judged." in printed
+    assert "Camera 2" not in printed
+
+
 @pytest.mark.parametrize(
     ("how", "occasion"),
     [("finished", "end"), ("aborted", "end"), ("failed", "failure"), ("stopped", "failure")],
@@ -124,3 +137,10 @@ def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messag
     words = station(tmp_path, ", occasions: [end]")
     messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
     assert delivered(outbox) == []
+
+
+def test_a_station_file_that_is_gone_does_not_end_the_batch(tmp_path, outbox):
+    lines = []
+    messages = BatchMessages(VirtualClock(NOW), lines.append)
+    messages.run_ended("cam-001", str(tmp_path / "gone.yaml"), tmp_path, WorkerEnd("died", "so"), "a" * 64)
+    assert "no message can be sent" in lines[0]

@@ -9,6 +9,7 @@ import pytest
 from bench.base.clock import BenchClock, VirtualClock
 from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, adopt, supervise
 from bench.run.heartbeat import Heartbeat
+from bench.run.processes import waits_for_disk
 
 
 def test_a_worker_that_cannot_be_started_has_failed_and_the_night_may_go_on(tmp_path):
@@ -39,6 +40,15 @@ def test_a_lack_of_memory_is_an_error_of_the_worker(tmp_path, monkeypatch):
         ["sh", "-c", "kill -KILL $$"], tmp_path / "run", tmp_path / "log", BenchClock(), lambda _: None
     )
     assert (end.why, end.outside) == (OUT_OF_MEMORY, False)
+
+
+@pytest.mark.parametrize(("states", "waits"), [("SR", False), ("SD", True), ("", False)])
+def test_a_process_with_a_thread_that_waits_for_the_disk_is_not_taken_to_hang(tmp_path, states, waits):
+    for number, state in enumerate(states):
+        task = tmp_path / "7" / "task" / str(7 + number)
+        task.mkdir(parents=True)
+        (task / "stat").write_text(f"{7 + number} (a ) name) {state} 1 7 7")
+    assert waits_for_disk(7, tmp_path) is waits
 
 
 class SilentProcess:

@@ -13,7 +13,7 @@ from bench.plan.plan import RECORD_EXTRA_S
 from bench.stations.station import Station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings
-from drivers.errors import NotHomed, OutsideLimits
+from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice
 from drivers.light import LightSettings
 from sequences.reader import check_document
 
@@ -60,6 +60,18 @@ def test_a_recording_takes_its_duration_and_holds_its_stars(clock, tmp_path):
     assert (view.name, view.image_size, edges) == ("middle", (1280, 720), 5)
     assert len(view) > 100
     assert np.allclose(view.covariances_px2, 0.03**2 * np.eye(2))
+
+
+def test_a_rehearsed_fault_raises_the_error_of_a_camera(clock, tmp_path):
+    held = devices(clock, b"simulation: {rehearsal: {lost_share: 1}}")
+    held.stage.home()
+    with pytest.raises(RecordingFailed, match="rehearsed fault"):
+        held.camera.record(tmp_path / "r", 0.05)
+
+
+def test_a_camera_other_than_the_station_s_is_refused_at_opening(clock):
+    with pytest.raises(WrongDevice, match="the camera has 7"):
+        devices(clock, b"simulation: {camera_serial: '7'}")
 
 
 def test_a_station_of_real_devices_is_rehearsed_by_its_expected_section(clock):

@@ -66,6 +66,19 @@ def test_time_counts_for_the_step_at_work_without_holds_and_without_the_time_bet
     assert history.worked_s == {7: 1.5, 8: 3.0}
 
 
+def test_decisions_give_the_chosen_poses_and_what_is_left_out(tmp_path):
+    with Journal.create(tmp_path / "j", **CLOCKS) as journal:
+        head = {"until": 2, "until_last": 30}
+        chosen = {"pose": 4, "pose_name": "chosen 1", "angles_deg": {"pan": 1.5}, "expected": {}, "why": ""}
+        journal.append(Event.UNTIL_DECIDED, step=11, chosen=chosen, **head)
+        before = replay(journal.entries)
+        journal.append(Event.UNTIL_DECIDED, step=15, ended="met", why="", **head)
+        after = replay(journal.entries)
+    assert before.chosen == after.chosen == {4: {"pan": 1.5}}
+    assert not any(before.is_left_out(step) for step in range(40))
+    assert [step for step in range(40) if after.is_left_out(step)] == list(range(16, 31))
+
+
 # ---------------------------------------------------------------- what a cut of power may take
 
 POSE = {"pose": 1, "pose_name": "p"}

@@ -9,6 +9,7 @@ from quick_runs import THREE
 from rehearsed import Scene, with_runner
 
 import bench.batch.rehearsal
+from bench.base.clock import BenchClock
 from bench.measure.measure import Measurement
 from bench.plan.plan import CHECK_S
 from bench.record.events import Event
@@ -130,3 +131,16 @@ def test_a_pose_in_check_that_an_operator_skips_counts_if_it_is_accepted_and_is_
         history = scene.history()
         assert sorted(history.accepted()) == poses, name
         assert (1 in history.skipped) is (name == "bad")
+
+
+def test_work_in_parallel_goes_on_while_the_caller_waits_and_its_error_is_raised_where_its_result_is_asked_for():
+    clock = BenchClock()
+    result = clock.in_parallel(lambda: 6 * 7)
+    assert result() == 42
+
+    def fail():
+        raise OSError("no such recording")
+
+    failed = clock.in_parallel(fail)
+    with pytest.raises(OSError, match="no such recording"):
+        failed()

@@ -25,7 +25,7 @@ from bench.solve.offline_folder import write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import sealed_bytes
 from bench.solve.solve_options import ONE_VIEW
-from bench.solve.view_sources import ViewSource, refuse_truncated_jpeg, view_sources
+from bench.solve.view_sources import ViewSource, picture_of, refuse_truncated_jpeg, view_sources
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
@@ -338,3 +338,16 @@ def test_a_board_gives_tangential_terms_unless_other_coefficients_are_asked_for(
         for word in (None, "k1k2")
     ]
     assert estimated == [("k1", "k2", "p1", "p2"), ("k1", "k2")]
+
+
+def test_the_preview_of_a_long_recording_uses_its_first_events_too(tmp_path, monkeypatch):
+    path, read = tmp_path / "a.raw", []
+    path.write_bytes(
+        b"% format EVT3;height=720;width=1280\n% end\n" + np.full(200_000, 0x2000, "<u2").tobytes()
+    )
+    monkeypatch.setattr(loose_recordings, "MOST_EVENTS", 100_000)
+    monkeypatch.setattr(
+        "bench.measure.measure.recorded_image", lambda begin: read.append(begin.stat().st_size)
+    )
+    picture_of(path)
+    assert read[0] < path.stat().st_size

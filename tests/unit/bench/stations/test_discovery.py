@@ -11,7 +11,7 @@ from filled_stations import filled, filled_example
 from slow_cases import first_quick
 
 from bench.base.clock import BenchClock
-from bench.commands.station import station_new
+from bench.commands.station import show_devices, station_new
 from bench.plan.plan import load_documents, make_plan
 from bench.simulated import SimulatedBench
 from bench.stations import discovery
@@ -88,6 +88,14 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
     assert (camera.driver, camera.serial) == (driver, named)
     if driver == "opencv":
         assert camera.source == (WEBCAM.source if cameras else "/dev/v4l/by-id/CHOOSE-A-CAMERA")
+
+
+def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
+    show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)))
+    output = capsys.readouterr().out
+    assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in output
+    assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in output
+    assert "missing      Something." in output
 
 
 @pytest.mark.parametrize("stage", CHOICES["stage"])
@@ -225,6 +233,13 @@ def test_a_board_is_asked_only_if_the_operator_agrees(capsys, tmp_path, monkeypa
 
 def refused_link(*_, **__):
     raise ReplyTimeout("no complete reply", where="/dev/board")
+
+
+def test_where_nobody_can_agree_a_board_is_not_asked(capsys, tmp_path):
+    words = ("--stage", "grbl", "--port", "/dev/none")
+    errors = call(capsys, "station", "new", tmp_path / "a.yaml", *words).err
+    assert "may restart it: it then loses its position" in errors
+    assert "The board was not asked" in errors
 
 
 @pytest.mark.parametrize(("stage", "asked"), [("thorlabs_apt", [1]), ("ximc", []), ("zaber_ascii", [0, 1])])

@@ -98,6 +98,13 @@ def test_what_cannot_be_drawn_is_refused_with_what_to_do(change, name, message):
         drawing_file(TargetConfig(**(SMALL | change)), Path(name))
 
 
+@pytest.mark.parametrize(("ending", "library"), [(".dxf", "ezdxf"), (".gds", "gdstk")])
+def test_a_missing_library_is_named_with_its_remedy(monkeypatch, ending, library):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(UsageError, match=rf"{library} is not installed.*pip install 'starbench\[draw\]'"):
+        drawing_file(TargetConfig(**SMALL), Path(f"x{ending}"))
+
+
 def test_the_command_writes_a_new_file_and_never_over_an_old_one(tmp_path):
     path = tmp_path / "reticle.svg"
     done = CliRunner().invoke(cli, ["target", "-s", "simulated", "-o", str(path)], standalone_mode=False)
