@@ -1,8 +1,6 @@
 """A sealed run that somebody with the bench's own key has changed and sealed again: each change is found.
 
-Each row names what a stock program shows of it. `ssh-keygen` and `sha256sum` accept every resealed folder, because seal
-and list are right; so ``-`` means that no stock program shows it, and the other entries name what a patient person
-could compare by hand.
+`ssh-keygen` and `sha256sum` accept every one of these folders.
 """
 
 from dataclasses import dataclass
@@ -36,109 +34,103 @@ pytestmark = pytest.mark.usefixtures("made_once")
 
 @dataclass(frozen=True)
 class Attack:
-    """One attack: its name, what it does, where it is found, and what a stock program shows."""
+    """One attack: its name, what it does, and where it is found."""
 
     name: str
     do: object
     where: str
     kind: str
-    stock: str = "-"
 
-
-HASH = "sha256sum FILE against the first line of journal.jsonl"
-WRITTEN = "sha256sum FILE against the line `written` of journal.jsonl"
-CHAIN = "the hashes of journal.jsonl by sed and sha256sum"
-DIFF = "reading results.json beside journal.jsonl"
 
 ATTACKS = [
     # documents
-    Attack("station edited", edit("station.yaml", "laboratory: ", "laboratory: Other "), "station.yaml", "plan", HASH),
-    Attack("station edited, told", with_hashes(edit("station.yaml", "laboratory: ", "laboratory: Other ")), "results.json", "results", DIFF),
-    Attack("station's name, told", with_hashes(edit("station.yaml", "name: ", "name: My ")), "journal.jsonl:1", "journal", DIFF),
+    Attack("station edited", edit("station.yaml", "laboratory: ", "laboratory: Other "), "station.yaml", "plan"),
+    Attack("station edited, told", with_hashes(edit("station.yaml", "laboratory: ", "laboratory: Other ")), "results.json", "results"),
+    Attack("station's name, told", with_hashes(edit("station.yaml", "name: ", "name: My ")), "journal.jsonl:1", "journal"),
     Attack("biases of the station, told", with_hashes(edit("station.yaml", "speed_deg_s: 90", "speed_deg_s: 45")), "plan.json", "plan"),
-    Attack("sequence edited", edit("sequence.yaml", "Quick poses", "Other poses"), "sequence.yaml", "plan", HASH),
+    Attack("sequence edited", edit("sequence.yaml", "Quick poses", "Other poses"), "sequence.yaml", "plan"),
     Attack("settling time, told", with_hashes(edit("sequence.yaml", "duration_s: 0.3", "duration_s: 3.0")), "plan.json", "plan"),
     Attack("pose added to the sequence, told", with_hashes(edit("sequence.yaml", "tilt_deg: -3}", "tilt_deg: -3}, {name: more, pan_deg: 1}")), "journal.jsonl", "journal"),
-    Attack("passport edited", edit("passport.json", "255", "256"), "passport.json", "plan", HASH),
-    Attack("passport edited, told", with_hashes(edit("passport.json", "255", "256")), "results.json", "results", DIFF),
-    Attack("passport removed", remove("passport.json"), "passport.json", "plan", HASH),
+    Attack("passport edited", edit("passport.json", "255", "256"), "passport.json", "plan"),
+    Attack("passport edited, told", with_hashes(edit("passport.json", "255", "256")), "results.json", "results"),
+    Attack("passport removed", remove("passport.json"), "passport.json", "plan"),
     Attack("passport removed, told", with_hashes(remove("passport.json")), "station.yaml", "plan"),
-    Attack("plan edited", edit("plan.json", '"duration_s"', '"Duration_s"'), "plan.json", "plan", HASH),
+    Attack("plan edited", edit("plan.json", '"duration_s"', '"Duration_s"'), "plan.json", "plan"),
     Attack("plan edited, told", with_hashes(edit("plan.json", '"size_bytes": ', '"size_bytes": 1')), "plan.json", "plan"),
-    Attack("plan removed", remove("plan.json"), "plan.json", "plan", HASH),
+    Attack("plan removed", remove("plan.json"), "plan.json", "plan"),
     Attack("instructions that trust any key", edit("VERIFY.txt", "-Y verify -f allowed_signers -I", "-Y check-novalidate -I"), "VERIFY.txt", "instructions"),
-    Attack("instructions with another key", edit("VERIFY.txt", "SHA256:", "SHA256:x"), "VERIFY.txt", "instructions", "ssh-keygen -lf"),
+    Attack("instructions with another key", edit("VERIFY.txt", "SHA256:", "SHA256:x"), "VERIFY.txt", "instructions"),
     # journal
-    Attack("journal edited", edit("journal.jsonl", '"operator":"Ada"', '"operator":"Eve"'), "journal.jsonl:1", "journal", CHAIN),
-    Attack("operator in the journal", line("run_started", lambda d: d.update(operator="Eve")), "results.json", "results", DIFF),
-    Attack("not simulated, in the journal", line("run_started", lambda d: d.update(simulated=False)), "journal.jsonl:1", "journal", DIFF),
-    Attack("number in the ledger", line("run_started", lambda d: d["ledger"].update(number=7)), "results.json", "results", DIFF),
-    Attack("camera in the journal", line("devices", lambda d: d["camera"].update(serial="00050999")), "results.json", "results", DIFF),
-    Attack("gates emptied in the journal", line("attempt_checked", lambda d: d.update(gates=[])), "results.json", "results", DIFF),
-    Attack("verdict of a gate", line("attempt_checked", lambda d: d["gates"][1].update(verdict="fail")), "results.json", "results", DIFF),
-    Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "journal.jsonl", "journal", DIFF),
-    Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "journal.jsonl", "journal", DIFF),
-    Attack("verdict of the report", line("written", lambda d: d["verdict"].update(kind="fail")), "journal.jsonl", "journal", DIFF),
-    Attack("headline of the report", line("written", lambda d: d["verdict"].update(headline="Calibrated!")), "journal.jsonl", "journal", DIFF),
-    Attack("no verdict in the journal", line("written", lambda d: d.pop("verdict")), "journal.jsonl", "journal", DIFF),
-    Attack("a cause in the journal", line("solved", lambda d: d["causes"].append(SLEPT)), "journal.jsonl", "journal", DIFF),
-    Attack("a cause in journal and results", a_cause, "journal.jsonl", "journal", DIFF),
-    Attack("first line removed", drop("run_started"), "journal.jsonl:1", "journal", "head -n 1 journal.jsonl"),
-    Attack("last line removed", drop("run_ended"), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),
-    Attack("run not finished", line("run_ended", lambda d: d.update(how="aborted")), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),
+    Attack("journal edited", edit("journal.jsonl", '"operator":"Ada"', '"operator":"Eve"'), "journal.jsonl:1", "journal"),
+    Attack("operator in the journal", line("run_started", lambda d: d.update(operator="Eve")), "results.json", "results"),
+    Attack("not simulated, in the journal", line("run_started", lambda d: d.update(simulated=False)), "journal.jsonl:1", "journal"),
+    Attack("number in the ledger", line("run_started", lambda d: d["ledger"].update(number=7)), "results.json", "results"),
+    Attack("camera in the journal", line("devices", lambda d: d["camera"].update(serial="00050999")), "results.json", "results"),
+    Attack("gates emptied in the journal", line("attempt_checked", lambda d: d.update(gates=[])), "results.json", "results"),
+    Attack("verdict of a gate", line("attempt_checked", lambda d: d["gates"][1].update(verdict="fail")), "results.json", "results"),
+    Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "journal.jsonl", "journal"),
+    Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "journal.jsonl", "journal"),
+    Attack("verdict of the report", line("written", lambda d: d["verdict"].update(kind="fail")), "journal.jsonl", "journal"),
+    Attack("headline of the report", line("written", lambda d: d["verdict"].update(headline="Calibrated!")), "journal.jsonl", "journal"),
+    Attack("no verdict in the journal", line("written", lambda d: d.pop("verdict")), "journal.jsonl", "journal"),
+    Attack("a cause in the journal", line("solved", lambda d: d["causes"].append(SLEPT)), "journal.jsonl", "journal"),
+    Attack("a cause in journal and results", a_cause, "journal.jsonl", "journal"),
+    Attack("first line removed", drop("run_started"), "journal.jsonl:1", "journal"),
+    Attack("last line removed", drop("run_ended"), "journal.jsonl", "journal"),
+    Attack("run not finished", line("run_ended", lambda d: d.update(how="aborted")), "journal.jsonl", "journal"),
     Attack("hashes of the results removed", drop("written"), "journal.jsonl", "journal"),
     Attack("hashes of the results removed, and the program that wrote them", without_program, "journal.jsonl", "journal"),
     Attack("clock moved within the run", shifted_clock, "journal.jsonl:21", "journal"),
     Attack("a pose never happened", without_pose, "journal.jsonl", "journal"),
-    Attack("devices never named", drop("devices"), "results.json", "results", DIFF),
+    Attack("devices never named", drop("devices"), "results.json", "results"),
     Attack("a second begin", with_hashes(lambda f: f.chain([*f.lines[:5], f.lines[0], *f.lines[5:]])), "journal.jsonl:6", "journal"),
     # results
-    Attack("results edited", edit("results.json", '"operator": "Ada"', '"operator": "Eve"'), "results.json", "results", WRITTEN),
-    Attack("focal length", result("calibration", "camera", "fx", to=1675.0), "journal.jsonl", "journal", DIFF),
+    Attack("results edited", edit("results.json", '"operator": "Ada"', '"operator": "Eve"'), "results.json", "results"),
+    Attack("focal length", result("calibration", "camera", "fx", to=1675.0), "journal.jsonl", "journal"),
     Attack("covariance", result("calibration", "covariance", "matrix", 0, 0, to=1e-4), "results.json", "results"),
-    Attack("results without the journal's recordings", result("poses", 1, "attempts", to=[]), "results.json", "results", DIFF),
-    Attack("simulated -> false", result("run", "simulated", to=False), "results.json", "results", DIFF),
-    Attack("camera serial", result("devices", "camera", "serial", to="00050999"), "results.json", "results", DIFF),
-    Attack("form of the report", result("run", "software", "report_form", to="0" * 16), "results.json", "results", DIFF),
+    Attack("results without the journal's recordings", result("poses", 1, "attempts", to=[]), "results.json", "results"),
+    Attack("simulated -> false", result("run", "simulated", to=False), "results.json", "results"),
+    Attack("camera serial", result("devices", "camera", "serial", to="00050999"), "results.json", "results"),
+    Attack("form of the report", result("run", "software", "report_form", to="0" * 16), "results.json", "results"),
     Attack("laboratory", result("run", "laboratory", to="Other lab"), "results.json", "results"),
-    Attack("gates emptied", result("gates", to=[]), "results.json", "results", DIFF),
+    Attack("gates emptied", result("gates", to=[]), "results.json", "results"),
     Attack("error against the truth", result("comparison", 0, "error", to=0.0), "results.json", "results"),
-    Attack("passport's hash", result("passport", "sha256", to="0" * 64), "results.json", "results", "sha256sum passport.json"),
+    Attack("passport's hash", result("passport", "sha256", to="0" * 64), "results.json", "results"),
     Attack("an approval that nobody gave", with_hashes(lambda f: f.edit_results(lambda r: r.update(approved_by="QA"))), "results.json", "results"),
-    Attack("results removed", remove("results.json"), "results.json", "results", "ls"),
+    Attack("results removed", remove("results.json"), "results.json", "results"),
     Attack("results never written", without_results, "journal.jsonl", "journal"),
-    Attack("results that are no results", with_hashes(write("results.json", b"[]\n")), "results.json", "results", "jq"),
+    Attack("results that are no results", with_hashes(write("results.json", b"[]\n")), "results.json", "results"),
     # views
-    Attack("views replaced", write("views.h5", b"x" * 1000), "views.h5", "views", WRITTEN),
-    Attack("views replaced, told", with_hashes(write("views.h5", b"x" * 1000)), "views.h5", "views", "h5ls"),
+    Attack("views replaced", write("views.h5", b"x" * 1000), "views.h5", "views"),
+    Attack("views replaced, told", with_hashes(write("views.h5", b"x" * 1000)), "views.h5", "views"),
     Attack("residual of a star", in_views(lambda h: h["pose-001/residuals_px"].__setitem__(0, (9.0, 9.0))), "views.h5", "views"),
-    Attack("hidden data in the views", in_views(lambda h: h.create_dataset("secret", data=[1])), "views.h5", "views", "h5ls"),
+    Attack("hidden data in the views", in_views(lambda h: h.create_dataset("secret", data=[1])), "views.h5", "views"),
     Attack("hidden bytes after the views", with_hashes(lambda f: f.replace("views.h5", (f / "views.h5").read_bytes(), (f / "views.h5").read_bytes() + b"x")), "views.h5", "views"),
     # exports
     *(
-        Attack(f"export {name}", with_hashes(edit(f"exports/{name}", "167", "168")), f"exports/{name}", "exports", DIFF)
+        Attack(f"export {name}", with_hashes(edit(f"exports/{name}", "167", "168")), f"exports/{name}", "exports")
         for name in ("camera-geometry.json", "colmap_cameras.txt", "kalibr_camchain.yaml", "metavision.json", "mrcal.cameramodel", "opencv.yaml", "ros_camera_info.yaml")
     ),
-    Attack("export, not told", edit("exports/opencv.yaml", "167", "168"), "exports/opencv.yaml", "exports", WRITTEN),
-    Attack("export removed, told", with_hashes(remove("exports/opencv.yaml")), "exports/opencv.yaml", "exports", "ls"),
-    Attack("export added", write("exports/more.yaml", b"fx: 1\n"), "exports/more.yaml", "exports", WRITTEN),
-    Attack("export added, told", with_hashes(write("exports/more.yaml", b"fx: 1\n")), "exports/more.yaml", "kind", "ls"),
+    Attack("export, not told", edit("exports/opencv.yaml", "167", "168"), "exports/opencv.yaml", "exports"),
+    Attack("export removed, told", with_hashes(remove("exports/opencv.yaml")), "exports/opencv.yaml", "exports"),
+    Attack("export added", write("exports/more.yaml", b"fx: 1\n"), "exports/more.yaml", "exports"),
+    Attack("export added, told", with_hashes(write("exports/more.yaml", b"fx: 1\n")), "exports/more.yaml", "kind"),
     # report
-    Attack("report, not told", edit("report.html", "Calibration report", "Calibration Report"), "report.html", "report", WRITTEN),
-    Attack("number in the report", with_hashes(edit("report.html", '<td class="u"', '<td class="n">9</td><td class="u"')), "report.html", "report", DIFF),
+    Attack("report, not told", edit("report.html", "Calibration report", "Calibration Report"), "report.html", "report"),
+    Attack("number in the report", with_hashes(edit("report.html", '<td class="u"', '<td class="n">9</td><td class="u"')), "report.html", "report"),
     Attack("number by CSS", with_hashes(edit("report.html", "</style>", "td.value::before{content:'9'}</style>")), "report.html", "report"),
     Attack("image in the report", with_hashes(edit("report.html", "base64,iVBORw0KGgo", "base64,iVBORw0KGgp")), "report.html", "report"),
     Attack("script in the report", with_hashes(edit("report.html", "</body>", "<script>1</script></body>")), "report.html", "report"),
     Attack("report empty", with_hashes(write("report.html", b"")), "report.html", "report"),
     # recordings
-    Attack("recording exchanged", write(CAPTURE % 2, b"% end\n"), CAPTURE % 2, "recording", CHAIN),
-    Attack("recording removed", remove(CAPTURE % 2), CAPTURE % 2, "recording", "ls"),
-    Attack("recording added", write("captures/pose-004-attempt-1.raw", b"% end\n"), "captures/pose-004-attempt-1.raw", "recording", "grep capture_stored journal.jsonl"),
-    Attack("another camera, everywhere but in the files", other_serial, CAPTURE % 1, "recording", "strings captures/*.raw"),
+    Attack("recording exchanged", write(CAPTURE % 2, b"% end\n"), CAPTURE % 2, "recording"),
+    Attack("recording removed", remove(CAPTURE % 2), CAPTURE % 2, "recording"),
+    Attack("recording added", write("captures/pose-004-attempt-1.raw", b"% end\n"), "captures/pose-004-attempt-1.raw", "recording"),
+    Attack("another camera, everywhere but in the files", other_serial, CAPTURE % 1, "recording"),
     # kind and seal
-    Attack("a run without its journal", remove("journal.jsonl"), "journal.jsonl", "kind", "ls"),
-    Attack("a run as a certificate", write("certificate.json", b"{}\n"), "certificate.json", "kind", "ls"),
-    Attack("a run as recalculated results", lambda f: [remove("journal.jsonl")(f), write("sources.json", b'{"sources": []}\n')(f)], CAPTURE % 1, "kind", "ls"),
+    Attack("a run without its journal", remove("journal.jsonl"), "journal.jsonl", "kind"),
+    Attack("a run as a certificate", write("certificate.json", b"{}\n"), "certificate.json", "kind"),
+    Attack("a run as recalculated results", lambda f: [remove("journal.jsonl")(f), write("sources.json", b'{"sources": []}\n')(f)], CAPTURE % 1, "kind"),
 ]  # fmt: skip
 
 
