@@ -125,10 +125,12 @@ def test_a_new_run_in_the_folder_of_another_offers_resume_only_if_that_can_work(
 # ------------------------------------------------------------------ whole files
 
 
-def test_a_file_that_may_not_be_written_is_named_by_its_own_name(tmp_path, monkeypatch):
+@pytest.mark.parametrize("written_as", ["my.yaml", ".out.tmp/my.yaml"])
+def test_a_file_that_may_not_be_written_is_named_by_its_own_name(tmp_path, monkeypatch, written_as):
     monkeypatch.setattr(os, "open", denied)
-    with pytest.raises(StorageError, match=re.escape(f"{tmp_path / 'my.yaml'}: No permission")):
-        write_atomic(tmp_path / "my.yaml", b"")
+    known = tmp_path / written_as.replace(".out.tmp", "out")
+    with pytest.raises(StorageError, match=re.escape(f"{known}: No permission")):
+        write_atomic(tmp_path / written_as, b"")
 
 
 @pytest.mark.parametrize("call", ["write", "fsync"])
