@@ -79,7 +79,7 @@ def test_a_conversion_needs_a_source_and_a_free_output(say, tmp_path):
     assert "only a.raw" in say("convert", "a.raw")[2]
     (tmp_path / "source").write_text("")
     (tmp_path / "taken.npz").write_text("as it was")
-    assert "There is no folder missing" in say("convert", "source", "missing/new.npz")[2]
+    assert "no folder missing" in say("convert", "source", "missing/new.npz")[2]
     assert "already" in say("convert", "source", "taken.npz")[2]
     assert (tmp_path / "taken.npz").read_text() == "as it was"
 

@@ -67,7 +67,7 @@ def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):
 
 def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(finished):
     report = (finished / "report.html").read_text()
-    assert "Interior orientation of a frame camera" in report
+    assert "frame camera" in report
     assert "Pictures</th>" in report
     page = report.partition("<main>")[2]
     assert page

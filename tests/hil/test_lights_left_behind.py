@@ -253,7 +253,7 @@ def test_a_board_that_restarts_while_it_is_lit_is_told_as_off(boot) -> None:
     rig.light.on()
     rig.device.exchange("SG0042")
     rig.line.ready += boot.encode()
-    assert "the light was switched on, but is off" in rig.light.faults()
+    assert any("is off" in fault for fault in rig.light.faults())
     with pytest.raises(DriverError):
         rig.light.apply(LightSettings("sine"))
     assert rig.light.apply(FLICKER).frequency_hz == pytest.approx(50.0)

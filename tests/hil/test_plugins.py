@@ -239,5 +239,5 @@ def test_two_packages_of_one_name_are_both_named_and_a_built_in_driver_stays(ins
     package(site, "raise RuntimeError", "[starbench.stages]\nzaber_ascii = thief:Section\n", "thief")
     (tmp_path / "bench.yaml").write_text(STATION)
     lines = run(site, "-c", READ, tmp_path / "bench.yaml", "simulated").splitlines()
-    assert "two packages bring this driver" in lines[0]
+    assert "two packages" in lines[0]
     assert lines[-1] == "ZaberStageConfig"

@@ -106,7 +106,7 @@ def test_a_night_goes_as_planned_and_tells_what_failed(queue, tmp_path):
     temperatures = [item["temperature_c"] for item in summary["items"] if item["how"] == "finished"]
     assert temperatures[1] > temperatures[0]  # it warms up, while the room cools
     page = (tmp_path / "night" / "summary.html").read_text(encoding="utf-8")
-    assert "REHEARSAL on a virtual clock: nothing was measured" in page
+    assert "REHEARSAL" in page
     assert "the camera has 7" in page
     assert "http" not in page.replace("http://www.w3.org", "")
 

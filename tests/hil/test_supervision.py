@@ -115,7 +115,7 @@ def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_re
     again = start("batch", queue, "-o", folder, "--json", home=tmp_path / "home")
     out, err = again.communicate(timeout=PATIENCE_S)
     assert again.returncode == 0, err
-    assert err.startswith("Night continues: 0 of 1 runs are done; to resume: cam-001.\n")
+    assert "0 of 1 runs are done; to resume: cam-001" in err
     (item,) = json.loads(out)["items"]
     assert (item["how"], item["attempts"]) == ("finished", 2)
     assert results(run)["run"]["resumed"] == 1
@@ -224,7 +224,7 @@ def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
         light.close()
         ends = make_orphans_safe(station, clock)
         assert [end.state for end in ends] == ["confirmed safe", "confirmed safe", "not confirmed"]
-        assert ends[1].said == "it was read back as off"
+        assert "off" in ends[1].said
         light = open_light(station, str, clock, None)
         assert not light.is_on()
         light.close()
@@ -236,8 +236,8 @@ def test_a_device_that_is_gone_does_not_keep_the_other_from_being_made_safe(tmp_
         (tmp_path / "station.yaml").write_text(text.replace("sim:gimbal", "/dev/serial/by-id/gone"))
         station = load_station(str(tmp_path / "station.yaml")).value
         stage, light, _ = make_orphans_safe(station, BenchClock())
-        assert stage.said.startswith("the stage of a dead process could not be made safe")
-        assert stage.text.endswith("The stage may be moving.")
+        assert "could not be made safe" in stage.said
+        assert "may be moving" in stage.text
         assert light.state == "confirmed safe"
 
 

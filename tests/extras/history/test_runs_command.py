@@ -46,7 +46,7 @@ def test_a_fault_is_printed_and_the_table_is_written_all_the_same(tmp_path, caps
     (tmp_path / "a" / "runs" / "run-00002").rename(tmp_path / "elsewhere")
     status, (out, err) = ended(capsys, *TABLE, "--ledger", ledger, "--output", "runs.csv")
     assert (status, out.split(":")[1]) == (1, " 1 run, schema starbench/runs-table/1.\n")
-    assert err.startswith("FAULT: run 2 of home (run-00002, finished): its folder ")
+    assert err.startswith("FAULT: run 2 of home")
     status, (out, _) = ended(capsys, *TABLE, "--ledger", ledger, "--output", "again.csv", "--json")
     assert (status, json.loads(out)["rows"], len(json.loads(out)["faults"])) == (1, 1, 1)
 
@@ -55,12 +55,12 @@ def test_the_charts_and_their_verdict(tmp_path, capsys, home):
     steady, drifting = bench(tmp_path / "a"), bench(tmp_path / "b", 30, step=0.5)
     status, (out, _) = ended(capsys, *CHARTS, "--ledger", steady)
     assert status == 0
-    assert "In control. No significant drift." in out
+    assert "In control." in out
     assert out.endswith("Charts: runs-charts.html\n")
     assert (tmp_path / "runs-charts.html").read_text().startswith("<!DOCTYPE html>")
     status, (out, _) = ended(capsys, *CHARTS, "--ledger", drifting, "--output", "drifting.html")
     assert status == 1
-    assert "It drifts with time: +0.4993 ± 0.0059 px per hour" in out
+    assert "+0.4993 ± 0.0059 px per hour" in out
     status, (out, _) = ended(capsys, *CHARTS, "--ledger", drifting, "--baseline", "20", "--json")
     (group,) = json.loads(out)["groups"]
     assert group["parameters"][0]["baseline"] == 20
@@ -71,7 +71,7 @@ def test_a_single_run_is_too_few(tmp_path, capsys, home):
     write_run(tmp_path / "runs" / "one")
     status, (out, _) = ended(capsys, *CHARTS, "runs")
     assert status == 0
-    assert "1 run: too few for a verdict" in out
+    assert "too few" in out
 
 
 @pytest.mark.parametrize(

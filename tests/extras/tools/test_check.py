@@ -39,9 +39,9 @@ def camera_info(points, tmp_path):
 
 def test_a_camera_that_did_not_change_is_right_within_u(capsys, points, camera_info):
     shown = out_of(capsys, "check", points[0], "--image-size", "1280x720", "--calibration", camera_info())
-    assert shown.startswith("RIGHT within U everywhere on the sensor")
+    assert shown.startswith("RIGHT within U")
     assert "can stay unseen" in shown
-    assert "ROS's camera_info states no uncertainty" in shown
+    assert "states no uncertainty" in shown
 
 
 def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, points, camera_info):
@@ -50,7 +50,7 @@ def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, poin
     assert (answer["right"], answer["cause"]) == (False, "scale")
     assert max(region["normalised"] for region in answer["regions"]) > 1
     assert "NOT RIGHT" in (shown := out_of(capsys, *words, status=1))
-    assert "A change of scale explains it" in shown
+    assert "change of scale" in shown
 
 
 def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points, camera_info, tmp_path):
@@ -59,8 +59,8 @@ def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points
     assert shown.startswith(
         "One view without a known collimator: judged is only what no other pose explains."
     )
-    assert "RIGHT as far as this view can tell" in shown
-    assert "A change of one value alone would be seen from: scale" in shown
+    assert "RIGHT as far as" in shown
+    assert "seen from: scale" in shown
     answer = json.loads(out_of(capsys, *words, camera_info(), "--json"))
     assert (answer["one_view"], answer["right"]) == (True, True)
     assert answer["seen_from"]["scale"] > 0.001

@@ -129,7 +129,7 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
 
     stored = cv2.FileStorage(str(tmp_path / "rig" / "opencv_stereo.yaml"), cv2.FILE_STORAGE_READ)
     assert stored.getNode("T").mat().ravel() == pytest.approx(1000.0 * t_m)
-    assert "The folder is not empty" in refusal(capsys, *words, "-o", tmp_path / "rig", status=2)
+    assert "not empty" in refusal(capsys, *words, "-o", tmp_path / "rig", status=2)
 
 
 def sdk_file(path, rotation, translation_mm, times=1):
@@ -148,7 +148,7 @@ def test_a_stated_rig_is_right_until_a_camera_moves(capsys, drawn, tmp_path):
     still = sdk_file(tmp_path / "extrinsics.json", rig.rotation, rig.translation)
     shown = out_of(capsys, *words, still)
     assert "RIGHT within U" in shown
-    assert "The file states no uncertainty" in shown
+    assert "states no uncertainty" in shown
     check = json.loads(out_of(capsys, *words, still, "--json"))["stated"]
     assert check["right"]
     assert check["arcsec"] < 600.0
@@ -210,7 +210,7 @@ def test_boards_that_the_second_camera_saw_upside_down_are_numbered_anew_and_it_
         < 4.0 * np.array(rig_found["sigma_mm"])
     ).all()
     shown = out_of(capsys, "rig", folder / "left", tmp_path, *BOARD)
-    assert "10 of 10 boards from the other end" in shown
+    assert "10 of 10 boards" in shown
 
 
 def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
@@ -355,7 +355,7 @@ def test_the_offset_of_the_clocks_comes_from_the_trigger_edges(capsys, folder, t
     assert answer["clocks"]["rate_ppm"] == pytest.approx(60.0, abs=3.0 * answer["clocks"]["sigma_rate_ppm"])
     shown = out_of(capsys, *words[:-2])
     assert "second - first = 1700" in shown
-    assert "us: the offsets may differ by whole periods. The values nearest zero are given." in shown
+    assert "whole periods" in shown
     assert "Clock of" not in out_of(capsys, *words[:-3])
 
 

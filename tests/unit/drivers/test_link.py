@@ -31,7 +31,7 @@ def line(reader: ReplyReader) -> bytes:
 
 def test_a_timeout_brings_the_line_into_step_before_the_next_request(scripted, clock) -> None:
     link = CountedLink(scripted([(b"a\n", b""), (b"b\n", b"2\n")]), clock)
-    with pytest.raises(ReplyTimeout, match="scripted: no complete reply within 1 s"):
+    with pytest.raises(ReplyTimeout, match=r"scripted: .* 1 s"):
         link.exchange(b"a\n", line, deadline_s=1.0)
     assert link.resynchronised == 0
     assert link.exchange(b"b\n", line, deadline_s=1.0) == b"2\n"

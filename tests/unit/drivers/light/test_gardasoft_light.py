@@ -100,7 +100,7 @@ def test_a_sync_without_a_channel_for_it_is_refused(bench) -> None:
 
 
 def test_a_period_that_is_held_in_its_range_is_refused(light, bench) -> None:
-    with pytest.raises(SettingRefused, match=r"Err 5.*changed to a valid one"):
+    with pytest.raises(SettingRefused, match="Err 5"):
         light.apply(LightSettings(frequency_hz=2e4))
 
 
