@@ -17,7 +17,7 @@ from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import BenchError, RunFolderError, ScriptError, UsageError
 from bench.base.home import home_folder
 from bench.batch.batch_messages import BatchMessages
-from bench.batch.batch_plan import planned_duration_s
+from bench.batch.batch_plan import durations
 from bench.batch.batch_record import (
     NEVER_S,
     BatchBegun,
@@ -194,11 +194,7 @@ class Batch:
     def _choose_next(self) -> Item | float | None:
         with self._lock:
             record = self._record
-
-            def lasts(item: Item) -> float:
-                return record.expected_duration_s(item, planned_duration_s(item.job))
-
-            return choose_next(record.pending(), self._at_s(), record.bounds, lasts)
+            return choose_next(record.pending(), self._at_s(), record.bounds, durations(record))
 
     def _run_all(self) -> tuple[str, str]:
         """Do all runs; return how this ended, and why."""

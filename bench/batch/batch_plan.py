@@ -13,7 +13,9 @@ from typing import Any, TypeVar
 
 from bench.base.errors import ScriptError
 from bench.batch.batch_record import (
+    BatchRecord,
     Bounds,
+    DurationOf,
     Item,
     Slot,
     bounds_of,
@@ -118,6 +120,11 @@ def planned_duration_s(job: JobConfig) -> float:
         return plan_of(job).duration_s + WORKER_S
     except ScriptError:  # the run itself will report it
         return 0.0
+
+
+def durations(record: BatchRecord) -> DurationOf:
+    """Return what tells the expected duration of a run, s: by those of its job before, or else by its plan."""
+    return lambda item: record.expected_duration_s(item, planned_duration_s(item.job))
 
 
 @dataclass(frozen=True)

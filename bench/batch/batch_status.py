@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from bench.base.encoding import counted
 from bench.base.errors import BenchError
 from bench.base.pasteable import pasteable
-from bench.batch.batch_plan import planned_duration_s
-from bench.batch.batch_record import BatchRecord, Item, UpcomingRun, look_ahead
+from bench.batch.batch_plan import durations
+from bench.batch.batch_record import BatchRecord, UpcomingRun, look_ahead
 from bench.batch.batch_summary import RUNS, missed_goals, read_batch
 from bench.record.device_end import NO_END
 from bench.record.folder_lock import is_locked, resume_process, suspended_process
@@ -148,11 +148,7 @@ def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[U
     """Predict the times of the run in progress and of the runs to come."""
     if record.begun is None or (record.ended and not under_way):
         return ()
-
-    def duration_of(item: Item) -> float:
-        return record.expected_duration_s(item, planned_duration_s(item.job))
-
-    at_s, first = record.seconds(now), []
+    at_s, first, duration_of = record.seconds(now), [], durations(record)
     pending = record.pending()
     if record.current_run and under_way:
         run = record.runs[record.current_run]

@@ -93,7 +93,7 @@ class History:
     devices_at_end: Sequence[DeviceEndData] = ()
     """How each device was left at the last end of the run; empty if nothing states it."""
     done_steps: set[int] = field(default_factory=set)
-    attempts: list[Attempt] = field(default_factory=list)
+    attempts: list[Attempt] = field(default_factory=list, init=False)
     lost: dict[int, int] = field(default_factory=dict)
     """Number of recordings that the camera could not complete, by pose index."""
     states: list[StateEntered] = field(default_factory=list)
@@ -137,14 +137,11 @@ class History:
     """The answer given from another terminal, and by whom."""
 
     def __post_init__(self) -> None:
-        stored, self.attempts = self.attempts, []
         # Places in the list of attempts, by pose index; needed at every step.
         self._places_of_pose: dict[int, list[int]] = {}
         self._accepted: dict[int, Attempt] = {}
         self._at_step: int | None = None
         self._last_mono_s = 0.0
-        for attempt in stored:
-            self.add(attempt)
 
     @property
     def failure(self) -> FailureData | None:

@@ -29,17 +29,10 @@ from bench.wording.numbers import NOTHING, moment, number, value_text
 from bench.wording.target_words import TargetWords, words_of
 
 _PRINTED: tuple[Callable[..., Any], ...] = (
-    *(
-        numbers.number,
-        numbers.fixed,
-        numbers.duration,
-        numbers.with_uncertainty,
-        parameters.meaning_of,
-        parameters.unit_of,
-        parameters.unit_text,
-    ),
-    *(coverage_factor, pose_tables.status_of, pose_tables.angles, pose_tables.motion, pose_tables.image_text),
-)
+    number, numbers.fixed, numbers.duration, numbers.with_uncertainty, coverage_factor, parameters.meaning_of,
+    parameters.unit_of, parameters.unit_text, pose_tables.status_of, pose_tables.angles, pose_tables.motion,
+    pose_tables.image_text,
+)  # fmt: skip
 """What prints a value of results.json, for the templates."""
 
 
@@ -187,14 +180,11 @@ def render_ended(
     ``pictures`` are captions and images, PNG: the recording that was refused last, and a good one beside it.
     """
     failure = history.failure
-    reason = {
-        "what": failure["what"] if failure else history.why,
-        "where": failure["where"] if failure else "",
-        "remedy": failure["remedy"] if failure else "",
-    }
     return render_page(
         "ended.html.j2",
-        **reason,
+        what=failure["what"] if failure else history.why,
+        where=failure["where"] if failure else "",
+        remedy=failure["remedy"] if failure else "",
         run=history.started,
         how="failed" if history.ended == "failed" else "was aborted",
         way_on=way_on,

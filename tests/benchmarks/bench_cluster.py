@@ -189,14 +189,18 @@ class Kills:
                 os.kill(self.rng.choice(workers), signal.SIGKILL)
 
 
+_OF_WORKERS = (b"spawn_main", b"bench.extras.many.processes")
+"""What the command lines of workers hold: those of Dask, and those of this computer."""
+
+
 def _workers_below(parent: int) -> list[int]:
-    """Return the spawned processes below a process, without those that only track resources."""
+    """Return the workers below a process, without those that only track resources."""
     pids = []
     for status in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError, ValueError, IndexError):
             above = int(status.read_text().rpartition(")")[2].split()[1])
             words = (status.parent / "cmdline").read_bytes()
-            if above == parent and b"spawn_main" in words:
+            if above == parent and any(word in words for word in _OF_WORKERS):
                 pids.append(int(status.parent.name))
     return pids
 

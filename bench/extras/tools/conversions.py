@@ -18,17 +18,10 @@ from bench.record.storage import sha256_of, storage_errors
 from bench.work.kept_rows import KeptRows, content_hash, require_program_of
 from bench.work.workers import Finished, Workers, map_work
 from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats.event_conversion import ENDINGS, Kind, convert
 from drivers.durable import sync_folder
 
 CONVERTED = "converted.jsonl"
-_ENDINGS: Mapping[str, str] = {
-    "raw": ".raw",
-    "metavision": ".hdf5",
-    "hdf5": ".h5",
-    "numpy": ".npz",
-    "parquet": ".parquet",
-    "csv": ".csv",
-}
 _PART = ".part-"
 
 
@@ -44,9 +37,9 @@ class Converted:
     failure: Failure | None = None  # Why it failed; None if it did not
 
 
-def plan_targets(sources: Sequence[Path], folder: Path, kind: str) -> list[tuple[Path, Path]]:
+def plan_targets(sources: Sequence[Path], folder: Path, kind: Kind) -> list[tuple[Path, Path]]:
     """Return each source with its new file. Raises UsageError if two would have the same name."""
-    pairs = [(source, folder / f"{source.stem}{_ENDINGS[kind]}") for source in dict.fromkeys(sources)]
+    pairs = [(source, folder / f"{source.stem}{ENDINGS[kind]}") for source in dict.fromkeys(sources)]
     taken: dict[Path, Path] = {}
     for source, target in pairs:
         if target in taken:
@@ -61,7 +54,7 @@ def plan_targets(sources: Sequence[Path], folder: Path, kind: str) -> list[tuple
 
 def convert_many(
     pairs: Sequence[tuple[Path, Path]],
-    kind: str,
+    kind: Kind,
     workers: Workers,
     kept: KeptRows,
     ended: Callable[[Converted], None],
@@ -96,15 +89,12 @@ def _taken(source: Path, target: Path, end: Finished, kept: KeptRows) -> Convert
 def convert_one(
     source: Path,
     target: Path,
-    kind: str,
+    kind: Kind,
     known: Mapping[str, Any] | None,
     program: str,
     choices: ReadingChoices,
 ) -> tuple[dict[str, Any], bool]:
     """Convert one file, unless ``known`` is the row of an earlier conversion of it; also return whether it is."""
-    # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
-    from drivers.camera.formats.event_conversion import convert
-
     require_program_of(program)
     with storage_errors(source):
         decided_by = {"source_sha256": content_hash(source), "kind": kind, **choices.as_json()}
@@ -120,7 +110,7 @@ def convert_one(
             return dict(known), True
     part = _part_of(target)
     part.unlink(missing_ok=True)  # of a worker that died
-    written = convert(source, part, kind, choices)  # type: ignore[arg-type]
+    written = convert(source, part, kind, choices)
     made = {"source": str(source), "sha256": sha256_of(part), "program": program, "summary": asdict(written)}
     return {**decided_by, **made}, False
 

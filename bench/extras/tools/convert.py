@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bench.extras.tools.conversions import Converted
     from bench.work.workers import Workers
     from drivers.camera.event_arrays import ReadingChoices, TimeUnit
+    from drivers.camera.formats.event_conversion import Kind
 
 _ASSUMED = {
     "time_unit": "the file does not state the unit of its times; they were read as {}. --time-unit says another one.",
@@ -57,7 +58,7 @@ _ASSUMED = {
 def convert(
     sources: tuple[Path, ...],
     output: Path,
-    kind: str | None,
+    kind: Kind | None,
     sensor_size: str | None,
     stream: str | None,
     time_unit: TimeUnit | None,
@@ -84,16 +85,9 @@ def convert(
     many = len(sources) > 1 or output.is_dir() or isinstance(workers, str)
     kind = kind or (None if many else event_conversion.kind_of_name(output))
     if kind is None:
-        what = "The format of the new files is not given." if many else (
-            "The name of the output file does not show its format."
-        )  # fmt: skip
-        raise UsageError(
-            what,
-            where=str(output),
-            remedy="Give --as."
-            if many
-            else "Use a name that ends in .raw, .hdf5, .h5, .npz, .parquet or .csv, or give --as.",
-        )
+        endings = ", ".join(event_conversion.ENDINGS.values())
+        remedy = "Give --as." if many else f"Use a name that ends in one of {endings}, or give --as."
+        raise UsageError("The format of the output is not given.", where=str(output), remedy=remedy)
     if many:
         OutputFolder().check(output)
         return _convert_many(sources, output, kind, open_workers(workers, most=len(sources)), choices)
@@ -101,20 +95,14 @@ def convert(
     return _convert_one(sources[0], output, kind, choices)
 
 
-def _convert_one(source: Path, output: Path, kind: str, choices: ReadingChoices) -> int:
+def _convert_one(source: Path, output: Path, kind: Kind, choices: ReadingChoices) -> int:
     from drivers.camera.formats import event_conversion
 
     files = source.rglob("*") if source.is_dir() else [source]
     line = CountLine(sum(file.stat().st_size for file in files) // 1_000_000, "MB read")
     with reliable_interrupts():
         try:
-            written = event_conversion.convert(
-                source,
-                output,
-                kind,  # type: ignore[arg-type]
-                choices,
-                progress=line.show_share,
-            )
+            written = event_conversion.convert(source, output, kind, choices, progress=line.show_share)
         finally:
             line.clear()
     _say(source, output, asdict(written))
@@ -141,7 +129,7 @@ def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
 
 
 def _convert_many(
-    sources: Sequence[Path], folder: Path, kind: str, workers: Workers, choices: ReadingChoices
+    sources: Sequence[Path], folder: Path, kind: Kind, workers: Workers, choices: ReadingChoices
 ) -> int:
     """Convert into a folder; return the exit status: 0 all done, 1 a file failed."""
     from bench.extras.tools.conversions import CONVERTED, convert_many, plan_targets

@@ -55,13 +55,13 @@ from drivers.errors import NotARecording, RecordingFileError
 Kind = Literal["raw", "metavision", "hdf5", "numpy", "parquet", "csv"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
-_BY_ENDING: Final[Mapping[str, Kind]] = {
-    ".raw": "raw",
-    ".hdf5": "metavision",
-    ".h5": "hdf5",
-    ".npz": "numpy",
-    ".parquet": "parquet",
-    ".csv": "csv",
+ENDINGS: Final[Mapping[Kind, str]] = {
+    "raw": ".raw",
+    "metavision": ".hdf5",
+    "hdf5": ".h5",
+    "numpy": ".npz",
+    "parquet": ".parquet",
+    "csv": ".csv",
 }
 _EXPORTS: Final = {
     "metavision": export_metavision,
@@ -88,7 +88,7 @@ def kind_of_name(path: Path) -> Kind | None:
     >>> [kind_of_name(Path(name)) for name in ("a.raw", "a.hdf5", "a.h5", "a.npz", "a.csv", "a.txt")]
     ['raw', 'metavision', 'hdf5', 'numpy', 'csv', None]
     """
-    return _BY_ENDING.get(path.suffix.lower())
+    return next((kind for kind, ending in ENDINGS.items() if ending == path.suffix.lower()), None)
 
 
 def convert(

@@ -33,18 +33,23 @@ SEEN = [{"pan": -5.0, "tilt": 1.0}, {"pan": 5.0, "tilt": -1.0}, {"pan": 0.0, "ti
 HERE = {"pan": 11.0, "tilt": 4.0}
 
 
+def recorded(**changed):
+    history = History()
+    for index, reading in enumerate(SEEN, 1):
+        history.add(attempt(index, reading, **changed))
+    return history
+
+
 def test_poses_labelled_by_the_tag_predict_the_grid_of_the_next():
-    history = History(attempts=[attempt(i, reading) for i, reading in enumerate(SEEN, 1)])
-    grid = grid_from_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
+    grid = grid_from_earlier_poses(recorded(), {"measured_deg": HERE}, TARGET)(SIZE)
     nodes = np.array([[10.0, 30.0], [15.0, 34.0], [12.0, 28.0]])
     assert np.abs(apply_homography(grid, nodes) - apply_homography(grid_at(HERE), nodes)).max() < 0.1
 
 
 @pytest.mark.parametrize("changed", [{"named_by": "gimbal"}, {"accepted": False}])
 def test_poses_labelled_by_the_gimbal_or_rejected_predict_nothing(changed):
-    history = History(attempts=[attempt(i, reading, **changed) for i, reading in enumerate(SEEN, 1)])
     with pytest.raises(DegenerateViews, match="No earlier view"):
-        grid_from_earlier_poses(history, {"measured_deg": HERE}, TARGET)(SIZE)
+        grid_from_earlier_poses(recorded(**changed), {"measured_deg": HERE}, TARGET)(SIZE)
 
 
 def test_a_journaled_expected_grid_is_used_again():

@@ -31,7 +31,8 @@ def accepted(pose):
 # ---------------------------------------------------------------- who may
 
 HELD = History(holder="ada")
-AT_POSES = History(attempts=[accepted(1)], to_skip={2: "ada"})
+AT_POSES = History(to_skip={2: "ada"})
+AT_POSES.add(accepted(1))
 TAKEN_UP = {"take_over": True}
 
 
