@@ -179,13 +179,11 @@ def _bound(bound: Numbers) -> str:
 
 def conditions(of_parts: Mapping[str, Any]) -> list[tuple[str, str]]:
     """List the settings of light and camera, and the temperature."""
-    rows = []
-    for part, settings in of_parts.items():
-        if isinstance(settings, Mapping):
-            rows += [(f"{part}: {_readable(key)}", _with_unit(key, value)) for key, value in settings.items()]
-        else:
-            rows.append((_readable(part), _with_unit(part, settings)))
-    return rows
+    return [
+        (f"{part}: {_readable(key)}", _with_unit(key, value))
+        for part, settings in of_parts.items()
+        for key, value in settings.items()
+    ]
 
 
 def devices(of_parts: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
