@@ -151,6 +151,12 @@ def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
         tell.callback(tmp_path, "add", str(path), "ada", take_over=False)
 
 
+@pytest.mark.parametrize("words", [{"word": "add"}, {"word": "withdraw"}, {"word": "add", "name": "a"}])
+def test_a_request_carries_what_its_word_needs(words):
+    with pytest.raises(ValueError, match="add needs a job"):
+        Request(by="ada", **words)
+
+
 # ---------------------------------------------------------------- how a batch stands
 
 

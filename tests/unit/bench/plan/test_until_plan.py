@@ -127,6 +127,11 @@ def test_the_script_language_has_every_model_lens_and_loss_of_the_engine():
     assert {f"sigma_{name}" for name in (*BROWN, "skew_px", *FISHEYE)} <= limits
 
 
+@pytest.mark.parametrize("name", DISTORTION_SETS)
+def test_every_set_of_lens_coefficients_reaches_the_engine(name):
+    assert calibration_options(solve_step(f"{{distortion: {name}}}")).distortion == DISTORTION_SETS[name]
+
+
 def test_the_other_settings_reach_the_engine():
     made = calibration_options(
         solve_step("{loss: l2, huber_px: 0.5, guard_band: 0.9, drift_mm: 0.2, distortion: [kb2, kb1]}")

@@ -98,6 +98,17 @@ def test_a_plane_is_cut_where_it_reaches_the_level():
     assert sorted(line[[0, -1], 1].tolist()) == [0.0, 90.0]
 
 
+def test_a_disc_within_the_map_is_one_closed_line_and_outside_of_it_a_hole():
+    distance = np.hypot(X[None] - 80, Y[:, None] - 45)
+    (disc,) = outlines(X, Y, -distance, -30.0)
+    assert total([disc]) == pytest.approx(np.pi * 900, rel=0.01)
+    (line,) = disc.lines()
+    np.testing.assert_array_equal(line[0], line[-1])
+    outside = outlines(X, Y, distance, 30.0)
+    assert len(outside) == 2
+    assert total(outside) == pytest.approx(160 * 90 - np.pi * 900, rel=0.01)
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.floats(-1.0, 1.0))
 def test_another_program_finds_the_same_area(seed, level):
