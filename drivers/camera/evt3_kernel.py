@@ -1,8 +1,8 @@
 """Decode EVT3 words in one compiled loop.
 
-An EVT3 word has 16 bits; its upper four are the type. ``_take_usual`` takes the words that nearly all streams consist
-of, as long as they are as expected. It leaves every other word to ``_take_rare``, which says what is wrong with it, and
-to ``take_control_word``: rows, clock, triggers, the rate controller. The state is one
+An EVT3 word has 16 bits; its upper four are the type. ``_take_single_events`` and ``_take_vectors`` take the words that
+nearly all streams consist of, as long as they are as expected. They leave every other word to ``_take_rare``, which
+says what is wrong with it, and to ``take_control_word``: rows, clock, triggers, the rate controller. The state is one
 int64 array, whose places are named here; a stream may be cut between any two words.
 
 ==== =============== =====================================================================
@@ -40,9 +40,11 @@ from drivers.camera.evt3_state import (
     JIT,
     S,
     StopReason,
+    idle_us_of,
     one_tick_later,
     take_control_word,
     take_reports,
+    ticks_of,
 )
 
 MARGIN: Final = 32
@@ -121,9 +123,48 @@ def _vector(words: Any, i: Any, base: int, width: int) -> tuple[Any, int, Any]:
     return bits, 12, _ONE
 
 
+@njit(**INNER, forceinline=True)
+def _take_single_events(words: Any, start: int, state: Any, room: int, events: Any) -> int:
+    """Take rows, times and single events from word ``start`` on; return the index of the first other, or without room.
+
+    In a sparse stream nothing tells the type of the next word, and each wrong guess costs the processor as much as
+    several words. So there is no branch on the type: every word writes an event, and only an event moves on by one.
+    Types and ranges are compared at once; bit 11 of an address is no part of its number.
+    """
+    t_out, x_out, y_out, p_out = events
+    same_high, width, height = 0x8000 | state[S.HIGH], np.uint64(state[S.WIDTH]), state[S.HEIGHT]
+    row, time = state[S.Y], 0x6000 | state[S.T] & 0xFFF
+    t_of_time = state[S.T] - time
+    ticks = ticks_of(state[S.IDLE_US])
+    i, n = np.uint64(start), np.uint64(state[S.TAKEN])
+    end = i + np.uint64(min(len(words) - start, room + 1 - state[S.TAKEN]))
+    while i < end:
+        word: Any = np.int64(words[i])
+        address = word & 0xF7FF
+        is_row = address < height
+        is_event = np.uint64(address - 0x2000) < width
+        is_time = np.uint64(word - time) < np.uint64(0x7000 - time)
+        is_tick = word == same_high
+        if np.int64(is_row) + np.int64(is_event) + np.int64(is_time) + np.int64(is_tick) == 0:
+            break
+        row = address if is_row else row
+        time = word if is_time else time
+        ticks = 0 if is_time else ticks + np.int64(is_tick)
+        t_out[n], x_out[n], y_out[n], p_out[n] = t_of_time + time, word & 0x7FF, row, word >> 11 & 1
+        n += np.uint64(is_event)
+        i += _ONE
+    state[S.T], state[S.Y], state[S.IDLE_US] = t_of_time + time, row, idle_us_of(ticks)
+    on = 0
+    for k in range(np.uint64(state[S.TAKEN]), n):
+        on += p_out[k]
+    state[S.TAKEN], state[S.ON_EVENTS] = n, state[S.ON_EVENTS] + on
+    result: Any = np.int64(i)
+    return result
+
+
 @njit(**INNER)
-def _take_usual(words: Any, start: int, state: Any, room: int, events: Any) -> int:
-    """Take usual words from ``start`` on; return the index of the first other, or without room.
+def _take_vectors(words: Any, start: int, state: Any, room: int, events: Any) -> int:
+    """Take usual words, vectors too, from ``start`` on; return the index of the first other, or without room.
 
     Time and row of events are written when one of them changes.
     """
@@ -136,9 +177,7 @@ def _take_usual(words: Any, start: int, state: Any, room: int, events: Any) -> i
     while i < np.uint64(len(words)) and n <= np.uint64(room):
         word: Any = np.int64(words[i])
         kind, payload, address = word >> 12, word & 0xFFF, word & 0x7FF
-        if word == 0x8000 | high:
-            idle_us = one_tick_later(idle_us)
-        elif kind == 0x2:
+        if kind == 0x2:
             if address >= width:
                 break
             x_out[n], p_out[n] = address, word >> 11 & 1
@@ -164,6 +203,8 @@ def _take_usual(words: Any, start: int, state: Any, room: int, events: Any) -> i
             base, on = base + columns, on + (n - before) * np.uint64(polarity)
             i += taken
             continue
+        elif word == 0x8000 | high:
+            idle_us = one_tick_later(idle_us)
         else:
             break
         i += _ONE
@@ -209,7 +250,11 @@ def run(words: Any, start: int, state: Any, gaps: Any, events: Any, edges: Any) 
         before = i
         full = state[S.TAKEN] > room
         if min(state[S.T], state[S.Y]) >= 0 and not full:
-            i = take_reports(words, _take_usual(words, i, state, room, events), state)
+            begun = state[S.FIRST_T] >= 0
+            if begun:
+                i = take_reports(words, _take_single_events(words, i, state, room, events), state)
+            if i < len(words) and (not begun or 0x3 <= words[i] >> 12 <= 0x5):
+                i = _take_vectors(words, i, state, room, events)
         if i == before:
             word: Any = np.int64(words[i])
             reason = StopReason.ROOM if full else _take_rare(word, state, gaps, edges)

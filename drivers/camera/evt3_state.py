@@ -156,6 +156,18 @@ def one_tick_later(idle_us: int) -> int:
     return idle_us + _TICK_US if 0 <= idle_us < _TICK_US * _MAX_TICKS else -1
 
 
+@njit(**INNER, forceinline=True)
+def ticks_of(idle_us: int) -> int:
+    """Return the number of TIME_HIGH words that idled for so long; more than any known one if it is not known."""
+    return idle_us // _TICK_US if idle_us >= 0 else _MAX_TICKS + 1
+
+
+@njit(**INNER, forceinline=True)
+def idle_us_of(ticks: int) -> int:
+    """Return for how long so many TIME_HIGH words idled, us; -1 if it is not known."""
+    return _TICK_US * ticks if ticks <= _MAX_TICKS else -1
+
+
 @njit(**INNER)
 def _rate_controller(state: Any, kind: int, payload: int) -> None:
     """Add an OTHERS word, or a part of its payload, to the counters of the rate controller.
