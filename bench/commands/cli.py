@@ -59,6 +59,20 @@ _MODULES = {
     **dict.fromkeys(("devices", "schema", "target", "simulate"), "station"),
 }
 """Modules of the commands that share one; all others have the name of their command."""
+_GONE = {
+    **dict.fromkeys(
+        ("certificate --xades-key", "certificate --xades-certificate"),
+        "Certificates have no XML signature of their own: leave the option out. The seal of the bench covers dcc.xml; "
+        "another program can sign a copy of it.",
+    ),
+    "calibrate --compare": "The comparison left: `make table1` in the source folder compares methods, and "
+    "`calibrate --model planar` is Zhang's method on your views.",
+    "history capability": "The gauge study left: write `starbench history table -o runs.csv`, and study that with a "
+    "statistics program.",
+    "panel --line": "The page of a line left: `starbench run ... --expect-serial -` reads a scanner and says PASS or "
+    "FAIL.",
+}
+"""Commands and options that left, and where their work is done (docs/decisions/0058)."""
 
 
 class LazyCommands(click.Group):
@@ -81,6 +95,16 @@ class LazyCommands(click.Group):
                 command = entry.load()
                 return command
         return None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """See `click.Group.resolve_command`. What left is refused with where its work is done."""
+        options = [f"{args[0]} {word.partition('=')[0]}" for word in args[1:] if word.startswith("--")]
+        for words in (" ".join(args[:2]), *options, args[0]):
+            if words in _GONE:
+                raise click.UsageError(_GONE[words], ctx)
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """See `click.Group.format_commands`."""
