@@ -29,6 +29,7 @@ TURN = tuple(f"field by turn, degree {d}" for d in range(1, 6))
 TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(5))
 RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
 SCALE_TURN_2, CURVATURE_ASIDE = "scale by turn squared", "field curvature beside the axes"
+ANAMORPHIC = "anamorphic"
 PARALLAX, RIM, DISCS, ALONG = "parallax", "rim", "discs", "pupil along the axis"
 ASIDE = "pupil beside the axes"
 CHANGE = "irregular errors since the passport"
@@ -132,6 +133,8 @@ FAMILIES = (
     ),
     # Of its own: a pupil that is not beside the axis says nothing of the glass.
     Family((CURVATURE_ASIDE,), (_CURVATURE * _BESIDE,), 1.2, 0.0),
+    # Of its own: only glass that is not round about its axis shows two scales; an off-axis mirror has 1e-3.
+    Family((ANAMORPHIC,), (1e-4,), 1.4, 0.0),
     # A defocus of 0.06, times how far a pupil moves: a well corrected collimator can be out of focus, too.
     Family((PARALLAX, ASIDE), (0.06, 3e-4), 0.8, 0.5),
     Family((DISTORTION,), (0.015,), 1.5, 0.0),  # Share of the distance from the axis, at the sensor's corner

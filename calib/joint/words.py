@@ -33,8 +33,8 @@ _OPEN = 0.1
 #: below 0.22 in 41 of 42 drawn benches.
 _EXPECTED = rows.UNBOUNDED_PARALLAX, rows.TURN_FIELDS, rows.LENS, rows.AMPLITUDES
 _EXPECTED_SHARE = 0.4
-#: A statement is named, too, if all others say another value by so many sigmas, and larger errors explain that. Right
-#: certificates are within 1.7 on eleven ray-traced benches.
+#: A certificate is named, too, if all others say another length by so many sigmas, and larger errors explain that.
+#: Right ones are within 1.7 on eleven ray-traced benches.
 _APART = 4.0
 #: Visible discs show how far the pupil moves if its logarithm is known to this, 1-sigma.
 _SEEN = 0.5
@@ -105,12 +105,15 @@ def _free_unknown(posterior: Posterior, at: int) -> str:
 
 def notes(result: Calibration, posterior: Posterior) -> tuple[str, ...]:
     """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
-    explained = {name for cause in result.causes for name in cause.explains}
+    explained, length = {name for cause in result.causes for name in cause.explains}, _length(posterior)
     named = [
         witness
         for witness in result.witnesses
         if witness.name not in {READINGS, *explained}
-        and (witness.fault_probability >= DOUBTED or abs(witness.innovation) >= _APART)
+        and (
+            witness.fault_probability >= DOUBTED
+            or (witness.name == CERTIFICATE and abs(witness.innovation) >= _APART and not length)
+        )
     ]
     named.sort(key=lambda witness: (-witness.fault_probability, -abs(witness.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
@@ -120,7 +123,7 @@ def notes(result: Calibration, posterior: Posterior) -> tuple[str, ...]:
         sentences += [_readings(result), _contradiction(result)]
     sentences += [
         _two_optima(posterior),
-        _length(posterior),
+        length,
         "" if PARALLAX in explained else _denied(posterior),
         _expected(result, posterior),
     ]

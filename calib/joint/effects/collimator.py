@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,8 @@ RADIAL = ("radial", "radial_4")
 RADIAL_RATIO = 20.0
 #: Typical sizes of what radial terms become about a shifted axis (`FieldBasis.shifted`).
 SHIFTED_SIZES = (1.0, 1.0, RADIAL_RATIO, RADIAL_RATIO)
+#: (2, 2, 2) one scale along X and the other along Y, and the same between the axes.
+_TWO_SCALES = np.array([[[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]])
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
 _RADIAL_SCALE = 0.06
 #: What an unknown of the collimator has become since its passport, less what that states.
@@ -68,9 +71,10 @@ class CommonField(Effect):
         columns[:, self.pose.field.start + COMMON_PLACES, range(len(COMMON_PLACES))] = 1.0
 
     def priors(self) -> Sequence[RandomBlock]:
-        """Return a random field of each degree, and radial terms about a shifted axis; nothing beside a passport.
+        """Return a random field of each degree, radial terms about a shifted axis, two scales; none beside a passport.
 
-        Radial errors that are no polynomials of the third and fifth order leave a change of scale.
+        Radial errors that are no polynomials of the third and fifth order leave a change of scale. Glass that is not
+        round about its axis enlarges one direction more than the other, as oblong pixels do.
         """
         if _stated_fields(self.bench.passport):
             return ()
@@ -79,6 +83,8 @@ class CommonField(Effect):
         edge = (basis.radius_mm / basis.reference[2]) ** 2
         scale = _RADIAL_SCALE * edge * basis.shape(np.asarray)[COMMON_PLACES, None]
         parts += [(amp.SHIFTED, basis.about_shifted_axis(SHIFTED_SIZES)[COMMON_PLACES]), (amp.RADIAL, scale)]
+        two = [basis.shape(partial(_mapped, turned))[COMMON_PLACES] for turned in _TWO_SCALES]
+        parts.append((amp.ANAMORPHIC, np.column_stack(two)))
         waves = self.bench.wavefront**2 / (DEGREE * (degrees + 1.0))
         return [RandomBlock(_ROW, self.names, tuple(parts), waves)]
 
@@ -120,6 +126,11 @@ class PoseFields(Effect):
         amplitudes = tuple(amp.POSE[degree - 1] for degree in _POSE_DEGREES)
         places: Places = self.pose.field.start + POSE_PLACES
         return [OwnPart(POSE_ROW, places, amplitudes, 1.0 + _POSE_DEGREES)]
+
+
+def _mapped(scales: Array, h: Array) -> Array:
+    """Return (N, 2) the places h, mapped by a symmetric (2, 2) matrix."""
+    return np.asarray(h @ scales)
 
 
 def _stated_fields(passport: Sequence[str]) -> list[str]:

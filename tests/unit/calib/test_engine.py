@@ -288,6 +288,22 @@ def test_pixels_that_are_not_square_are_named_and_the_focal_lengths_are_right(be
         assert getattr(result.camera, name) == pytest.approx(true, abs=stated)
 
 
+def test_a_mirror_off_its_axis_does_not_make_pixels_oblong(make_bench):
+    """It enlarges one direction more than the other. Without a roll, only a prior tells this from oblong pixels."""
+    bench = make_bench(
+        poses=tuple((pan, tilt) for tilt in (-2.0, 0.0, 2.0) for pan in (-5.0, 0.0, 5.0)), half_angle_deg=40.0
+    )
+    foot = np.array(bench.centre[:2])
+    views = [
+        replace(view, target_mm=foot + (view.target_mm - foot) * (1.001, 0.999))
+        for view in bench.views(np.random.default_rng(71), 0.05)
+    ]
+    result = calibrate(views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen")))
+    assert not [note for note in result.notes if "'square pixels'" in note]
+    assert abs(result.camera.fx - bench.fx) < result.U["fx"]
+    assert abs(result.camera.fy - bench.fy) < result.U["fy"]
+
+
 @pytest.mark.slow
 def test_a_true_certificate_is_not_refused_for_poses_that_only_roll(make_bench):
     """They hardly show the collimator's radius, so they do not contradict its unit."""
