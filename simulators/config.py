@@ -17,8 +17,10 @@ from pydantic import BeforeValidator
 from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder, fault_order
 from simulators.reading import (
+    Count,
     NotNegative,
     Number,
+    Positive,
     Section,
     Switch,
     Text,
@@ -26,7 +28,6 @@ from simulators.reading import (
     one_of,
     read,
     read_section,
-    refused,
     text,
 )
 from simulators.world.gimbal import AXES, GimbalTruth
@@ -55,9 +56,6 @@ _TRUTH_SECTIONS: Final = (
 )
 
 
-_POSITIVE = refused(lambda value: value <= 0, "{!r} is not positive.")
-_Positive = Annotated[Number, _POSITIVE]
-_NotNegative = Annotated[Number, refused(lambda value: value < 0, "{!r} is negative.")]
 _MOUNTING_STREAM = 1  # Of random numbers, apart from those of other parts of the world
 _MOUNTING_SPREAD_DEG = 0.25
 _MOUNTING_DEG = (0.0, 0.0, 10.0)
@@ -73,13 +71,13 @@ class AxisConfig(Section):
 
     serial: Text
     # Soft limit in both directions, as the controller is delivered; the end stops are 2 degrees further out.
-    limit_deg: _Positive
+    limit_deg: Positive
     start_deg: Number = 0.0
-    microsteps_per_deg: Annotated[Whole, _POSITIVE] = 6400
-    speed_deg_s: _Positive = 40.0
-    acceleration_deg_s2: _Positive = 200.0
-    settle_s: _NotNegative = 0.02  # Time constant of the load settling after a move
-    backlash_deg: _NotNegative = 0.0  # Play of the gear; section ``gimbal`` may give it instead
+    microsteps_per_deg: Count = 6400
+    speed_deg_s: Positive = 40.0
+    acceleration_deg_s2: Positive = 200.0
+    settle_s: NotNegative = 0.02  # Time constant of the load settling after a move
+    backlash_deg: NotNegative = 0.0  # Play of the gear; section ``gimbal`` may give it instead
     encoder: Switch = True  # Whether there is an encoder on the shaft
 
 
@@ -95,7 +93,7 @@ class LightConfig(Section):
     error_queue: Switch = True  # Whether it answers ``SYST:ERR?``, for instruments that may or may not
     # What another program left behind, words of `simulators.lights.driver.LightDriver.LEFT` separated by blanks.
     left_behind: Text = ""
-    idle_s: _NotNegative = 0.0  # Time after which a TCP line closes an idle connection, s; 0: never
+    idle_s: NotNegative = 0.0  # Time after which a TCP line closes an idle connection, s; 0: never
 
 
 @dataclass(frozen=True)

@@ -44,9 +44,8 @@ OVER_TEMPERATURE, OVER_CURRENT = 130, 131
 class _RtError(Exception):
     """A refused command, with its error number; number 5 is only a warning."""
 
-    def __init__(self, number: int) -> None:
-        self.number = number
-        super().__init__(f"Err {number}")
+    def __str__(self) -> str:
+        return f"Err {self.args[0]}"
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,8 @@ BAD_CHECKSUM, UNKNOWN, BAD_VALUE, OUT_OF_RANGE, FAULT_LATCHED = 1, 2, 3, 4, 5
 class _Refused(Exception):
     """A refused command, with its number."""
 
-    def __init__(self, number: int) -> None:
-        self.number = number
-        super().__init__(f"err {number}")
+    def __str__(self) -> str:
+        return f"err {self.args[0]}"
 
 
 class MicrocontrollerLight(LightDriver):

@@ -127,38 +127,25 @@ def spread_over_disc(image: NDArray[np.float32], diameter_px: float) -> NDArray[
     (height + 2 n, width + 2 n) float32, n = `reach_px` of the diameter; it is returned as given without a blur.
     """
     margin = reach_px(diameter_px)
-    if margin == 0:
-        return image
-    return blurred_spectrum(Spectrum.of(image), diameter_px, margin)
+    return blurred(image, diameter_px, margin) if margin else image
 
 
-class Spectrum(NamedTuple):
-    """An image in the frequency domain, from which it can be blurred by several diameters."""
-
-    values: NDArray[np.complex64]  # (rows, columns // 2 + 1) complex64
-    size: tuple[int, int]
-    image_size: tuple[int, int]
-
-    @classmethod
-    def of(cls, image: NDArray[np.float32]) -> Spectrum:
-        """Return the spectrum of an image, (rows, columns) float32."""
-        height, width = image.shape
-        rows, columns = (int(fft.next_fast_len(n + SEAM_PX, real=True)) for n in image.shape)
-        padded = np.empty((rows, columns), np.float32)
-        padded[:height, :width] = image
-        across = (np.arange(columns - width, dtype=np.float32) + 1.0) / (columns - width + 1)
-        padded[:height, width:] = image[:, -1:] + across * (image[:, :1] - image[:, -1:])
-        down = (np.arange(rows - height, dtype=np.float32)[:, None] + 1.0) / (rows - height + 1)
-        padded[height:] = padded[height - 1] + down * (padded[0] - padded[height - 1])
-        return cls(np.asarray(fft.rfft2(padded), np.complex64), (rows, columns), (height, width))
-
-
-def blurred_spectrum(spectrum: Spectrum, diameter_px: float, margin_px: int) -> NDArray[np.float32]:
-    """Return a spectrum's image, spread as by `spread_over_disc`, without a margin of half a diameter or more."""
-    (rows, columns), (height, width) = spectrum.size, spectrum.image_size
-    transfer = _disc_transfer(rows, columns, round(diameter_px, 6))
-    image = fft.irfft2(spectrum.values * transfer, s=spectrum.size)
-    inside = image[margin_px : height - margin_px, margin_px : width - margin_px]
+def blurred(image: NDArray[np.float32], diameter_px: float, margin_px: int) -> NDArray[np.float32]:
+    """Return an image spread as by `spread_over_disc`, without a margin of half a diameter or more."""
+    height, width = image.shape
+    rows, columns = (int(fft.next_fast_len(n + SEAM_PX, real=True)) for n in image.shape)
+    padded = np.empty((rows, columns), np.float32)
+    padded[:height, :width] = image
+    across = (np.arange(columns - width, dtype=np.float32) + 1.0) / (columns - width + 1)
+    padded[:height, width:] = image[:, -1:] + across * (image[:, :1] - image[:, -1:])
+    down = (np.arange(rows - height, dtype=np.float32)[:, None] + 1.0) / (rows - height + 1)
+    padded[height:] = padded[height - 1] + down * (padded[0] - padded[height - 1])
+    spectrum = np.asarray(fft.rfft2(padded), np.complex64) * _disc_transfer(
+        rows, columns, round(diameter_px, 6)
+    )
+    inside = fft.irfft2(spectrum, s=(rows, columns))[
+        margin_px : height - margin_px, margin_px : width - margin_px
+    ]
     return np.maximum(inside, np.float32(0.0), dtype=np.float32)
 
 

@@ -32,8 +32,7 @@ from simulators.optics.drawing import (
 from simulators.optics.lens import ray_grid
 from simulators.optics.lens_focus import (
     SHARP_PX,
-    Spectrum,
-    blurred_spectrum,
+    blurred,
     brightness,
     camera_of,
     reach_px,
@@ -185,7 +184,7 @@ def spread_unevenly(image: NDArray[np.float32], blur: BoardBlur) -> NDArray[np.f
     steps = min(MOST_LEVELS - 1, math.ceil((blur.largest_px - blur.smallest_px) / STEP_PX))
     if blur.largest_px - blur.smallest_px < _EVEN_PX:
         middle = 0.5 * (blur.smallest_px + blur.largest_px)
-        return blurred_spectrum(Spectrum.of(image), middle, margin)
+        return blurred(image, middle, margin)
     diameters = np.linspace(blur.smallest_px, blur.largest_px, max(steps, 1) + 1)
     squared = np.clip(blur.map_px, blur.smallest_px, blur.largest_px) ** 2
     place = np.interp(squared, diameters**2, np.arange(len(diameters))).astype(np.float32)
@@ -196,7 +195,7 @@ def spread_unevenly(image: NDArray[np.float32], blur: BoardBlur) -> NDArray[np.f
         if diameter < SHARP_PX:
             out += part[margin:-margin, margin:-margin]
         else:
-            out += blurred_spectrum(Spectrum.of(part), float(diameter), margin)
+            out += blurred(part, float(diameter), margin)
     return out
 
 
