@@ -315,13 +315,9 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
         if axis.resolution_deg is None:
             return
         stated_deg = self._line.query_number(f"{axis.number}SU?")
-        if abs(stated_deg - axis.resolution_deg) > _SAME_RESOLUTION * axis.resolution_deg:
-            raise OutsideLimits(
-                f"the station file has {axis.resolution_deg:g} deg a count, the controller"
-                f" {stated_deg:g}. Nothing was set.",
-                where=axis.name,
-                remedy=f"Set it with {axis.number}SU, or correct resolution_deg in the station file.",
-            )
+        remedy = f"Set it with {axis.number}SU, or correct resolution_deg in the station file."
+        slack = _SAME_RESOLUTION * axis.resolution_deg
+        motion.check_scale(axis, axis.resolution_deg, stated_deg, "deg a count", remedy, slack=slack)
 
     def _read_known(self, axis: EspAxis, name: str) -> float | None:
         """Read a setting; None if this controller has no such command, which it does not answer."""

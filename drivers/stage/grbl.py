@@ -411,13 +411,8 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
         """Raise OutsideLimits unless scale, homing direction and travel of an axis fit the station file."""
         place = self._place(axis)
         steps, travel = present.get(_STEPS + place, 0.0), present.get(_TRAVEL + place, 0.0)
-        if not _same(steps, axis.steps_per_deg):
-            raise OutsideLimits(
-                f"the scale in the station file is {axis.steps_per_deg:g} steps a degree, the board's"
-                f" ${_STEPS + place} is {steps:g}.",
-                where=axis.name,
-                remedy="Correct the value that is wrong; the board's value is set by hand.",
-            )
+        remedy = f"Correct the value that is wrong; the board's value (${_STEPS + place}) is set by hand."
+        motion.check_scale(axis, axis.steps_per_deg, steps, "steps a degree", remedy, slack=_PRINTED)
         if (homes_down := int(present.get(_HOMES_DOWN, 0.0))) >> place & 1:
             # Homing then sets the position to the end of the travel, which this driver sets: all angles would shift.
             raise OutsideLimits(

@@ -107,6 +107,16 @@ def check_targets(limits: Mapping[str, AxisLimits], target_deg: Mapping[str, flo
         )
 
 
+def check_scale(axis: Axis, stated: float, present: float, unit: str, remedy: str, *, slack: float) -> None:
+    """Check that a scale in the station file is the controller's, to within ``slack``, else raise `OutsideLimits`."""
+    if abs(stated - present) > slack:
+        raise OutsideLimits(
+            f"the station file gives {stated:.9g} {unit}, the controller {present:.9g}. Nothing was set.",
+            where=axis.name,
+            remedy=remedy,
+        )
+
+
 def check_travel(
     axis: str,
     wanted: tuple[float, float],

@@ -19,7 +19,7 @@ from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription, Switch, Value
 from drivers.described.line import DescribedLine, shown
-from drivers.errors import DeviceRefused, OutsideLimits, ReplyError, ReplyTimeout
+from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
 from drivers.link import TRIES
 from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion
@@ -351,14 +351,9 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
             "deg_per_count": 1.0 / counts_per_deg,
             "arcsec_per_count": 3600.0 / counts_per_deg,
         }[self._description.scale_unit]
-        if abs(abs(axis.counts_per_deg) - counts) > _SCALE_SLACK * counts:
-            raise OutsideLimits(
-                f"the station file gives {abs(axis.counts_per_deg):g} counts per degree, the controller"
-                f" {counts:.6g}. Nothing was set.",
-                where=axis.name,
-                remedy="Correct counts_per_deg in the station file (its sign is the direction), or the step mode of"
-                " the controller.",
-            )
+        remedy = "Correct counts_per_deg in the station file (its sign is the direction), or the controller's steps."
+        given = abs(axis.counts_per_deg)
+        motion.check_scale(axis, given, counts, "counts per degree", remedy, slack=_SCALE_SLACK * counts)
 
     def _number(self, query: Exchange, axis: TextAxis, name: str) -> float:
         return float(self._value(query, axis, name))

@@ -12,7 +12,7 @@ from typing import ClassVar, Final, Literal
 from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.stage import AxisIdentity
 from drivers.stage.line_per_axis import LinePerAxisStage
-from drivers.stage.motion import Axis
+from drivers.stage.motion import Axis, check_scale
 from drivers.stage.refusals import CHECK_PORTS, not_movable
 from drivers.stage.thorlabs_controller import ThorlabsController
 from drivers.stage.thorlabs_messages import CONNECTED, FORWARD, REVERSE, SWITCHES, HomeParameters, Status
@@ -180,12 +180,9 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         """Refuse another scale than that of a stage whose controller is built in, and angles beyond the counter."""
         known = self._lines[axis.name].family.counts_per_deg
         given = abs(axis.counts_per_deg)
-        if known and abs(given - known) > _SAME_SCALE * known:
-            raise OutsideLimits(
-                f"the station file has {given:.8g} counts/deg, but this stage has {known:.8g}. Nothing was set.",
-                where=axis.name,
-                remedy="Correct counts_per_deg in the station file.",
-            )
+        if known:
+            remedy = "Correct counts_per_deg in the station file."
+            check_scale(axis, given, known, "counts per degree", remedy, slack=_SAME_SCALE * known)
         ends = (axis.limits.lowest_deg, axis.limits.highest_deg)
         if max(abs(axis.to_counts(end)) for end in ends) > _LARGEST_COUNT:
             raise OutsideLimits(

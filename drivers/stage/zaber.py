@@ -308,20 +308,16 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
         turn = self._setting(axis, "limit.cycle.dist")
         resolution = self._setting(axis, "resolution")
         expected = abs(axis.microsteps_per_deg) * 360.0
-        if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
-            raise OutsideLimits(
-                f"the scale in the station file gives {expected:.0f} microsteps a turn, the controller has {turn}.",
-                where=axis.name,
-                remedy="Correct microsteps_per_deg in the station file.",
+        if turn:
+            slack = max(1.0, _SCALE_AGREES * expected)
+            remedy = "Correct microsteps_per_deg in the station file."
+            motion.check_scale(axis, expected, turn, "microsteps a turn", remedy, slack=slack)
+        elif resolution is not None:
+            remedy = (
+                f"Send 'set resolution {axis.resolution}', or state resolution: {resolution} and the scale for it in"
+                " the station file."
             )
-        if not turn and resolution is not None and resolution != axis.resolution:
-            raise OutsideLimits(
-                f"the scale in the station file holds for {axis.resolution} microsteps a step, the controller makes"
-                f" {resolution} (its setting resolution).",
-                where=axis.name,
-                remedy=f"Send 'set resolution {axis.resolution}', or state resolution: {resolution} and the scale for"
-                " it in the station file.",
-            )
+            motion.check_scale(axis, axis.resolution, resolution, "microsteps a step", remedy, slack=0.0)
         for name, stated in {_HOME_PRESET: 0.0, **axis.settings}.items():
             value = self._setting(axis, name)
             if value != stated and (value is not None or name in axis.settings):

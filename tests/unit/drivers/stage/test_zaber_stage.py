@@ -133,9 +133,7 @@ def test_another_resolution_is_refused_unless_the_station_states_it(bench, resol
     for controller in (bench.pan, bench.tilt):
         controller.execute(1, ["set", "resolution", str(resolution)], bench.clock.now_s)
     limits = AxisLimits(-5.0, 5.0, 10.0, 50.0)
-    with pytest.raises(
-        OutsideLimits, match=f"holds for 64 microsteps a step, the controller makes {resolution}"
-    ):
+    with pytest.raises(OutsideLimits, match=f"gives 64 microsteps a step, the controller {resolution}"):
         bench.open(limits=limits)
     bench.open(limits=limits, resolution=resolution)
 
