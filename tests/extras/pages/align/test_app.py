@@ -159,3 +159,9 @@ def test_a_request_without_page_foreign_host_or_origin_is_refused(bench):
     )
     assert httpx.get(url + "state", headers={"Host": "bench.example.org"}).status_code == 421
     assert devices.stage.calls == []
+
+
+def test_clearing_the_curve_reaches_the_live_picture(bench, page):
+    curve = bench[1].bench.loop.curve
+    assert page.do("forget").status_code == 200
+    assert bench[1].bench.loop.curve is not curve

@@ -1,16 +1,18 @@
 """The align session with fakes: who may move what, and that a stop, a lost page and the end leave the bench safe."""
 
+import dataclasses
 import threading
 import time
 
 import pytest
 from align_fakes import fake_session
-from fake_devices import FakeDevices
+from fake_devices import FakeCamera, FakeDevices, FakeStage
 from waiting import wait_until
 
 from bench.base.errors import ControlRefused
 from bench.extras.pages.align import live_loop
 from bench.extras.pages.align import session as session_module
+from bench.extras.pages.align.controls import StageControl
 from bench.extras.pages.align.live_figures import LiveMeter
 from drivers.errors import CameraBusy, CameraLost, DriverError
 
@@ -323,3 +325,37 @@ def test_a_slice_holds_the_edges_of_the_light_and_a_moving_stage_makes_it_short(
     devices.stage.step_deg = 0.005
     session.bench.stage.move_by({"pan": 5.0})
     wait_until(lambda: lengths[-1] == live_loop.MOVING_PERIODS)
+
+
+def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
+    stage, states = FakeStage(), []
+    control = StageControl(stage, lambda: states.append(control.state))
+    control.look(thoroughly=True)
+    stage.fault, stage.faults = "the motor is stuck", list
+    control.home()
+    wait_until(lambda: states[-1].failure is not None and states[-1].work is None)
+    control.close()
+    assert "the motor is stuck" in states[-1].failure.what
+
+
+class ReadingCamera(FakeCamera):
+    """A camera that reads all its biases back."""
+
+    def apply(self, settings):
+        return dataclasses.replace(settings, biases={"bias_fo": 0, "bias_hpf": 0} | dict(settings.biases))
+
+
+def test_a_changed_bias_is_shown_beside_that_of_the_station_file():
+    devices = FakeDevices()
+    devices.camera = ReadingCamera()
+    session, _ = fake_session(devices)
+    assert session.open() is None
+    try:
+        session.bench.camera.set("bias_fo", 7)
+        shown = {bias["name"]: bias for bias in session.state()["camera"]["settings"]}
+        assert (shown["bias_fo"]["value"], shown["bias_fo"]["expected"]) == (7, 0)
+        assert (shown["bias_hpf"]["value"], shown["bias_hpf"]["expected"]) == (0, 0)
+        assert session.bench.camera.row().value == "bias_fo is changed"
+        assert session.state()["station_lines"] == ["camera.biases.bias_fo: 7"]
+    finally:
+        session.close()

@@ -66,6 +66,15 @@ def begun(tmp_path):
     return batch, name
 
 
+def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path, begun):
+    batch, name = begun
+    batch.write("item_ended", item=name, how="finished", why="", noticed_s=0.0, unsafe=[])
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == ""
+    last = read_batch_status(batch.folder).last_end
+    batch.write("batch_ended", how="finished", why="")
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == last.isoformat()
+
+
 @pytest.mark.parametrize("simulated", [True, False])
 def test_a_batch_with_a_simulated_run_is_marked(tmp_path, begun, simulated):
     batch, name = begun
@@ -119,3 +128,18 @@ def test_of_very_many_runs_some_are_read_at_each_look_until_all_are_listed(tmp_p
     listed = FolderList(tmp_path)
     looks = [listed.look() for _ in range(3)]
     assert [(len(listing["runs"]), listing["unread"]) for listing in looks] == [(2, 3), (4, 1), (5, 0)]
+
+
+def test_a_run_that_another_replaces_in_its_folder_is_read_again(tmp_path):
+    old, new = (
+        MadeRun(tmp_path / "a").begin().end(),
+        MadeRun(tmp_path / "away" / "b").begin().end("failed", "so"),
+    )
+    listed = FolderList(tmp_path)
+    assert {row["key"]: row["how"] if "how" in row else row["verdict"] for row in listed.look()["runs"]}["a"]
+    times = old.path.stat()
+    new.path.write_bytes(new.path.read_bytes())
+    os.utime(new.path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    new.path.rename(old.path)
+    row = next(row for row in listed.look()["runs"] if row["key"] == "a")
+    assert row["why"] == "so"

@@ -13,7 +13,7 @@ from starlette.routing import Route
 from bench.base.errors import UsageError
 from bench.extras.pages.web.guard import Guard
 from bench.extras.pages.web.pages import page_app
-from bench.extras.pages.web.token import TOKEN_VARIABLE, PageToken, page_token
+from bench.extras.pages.web.token import TOKEN_VARIABLE, PageToken, page_token, require_token
 
 TOKEN = "0123456789abcdef"
 
@@ -212,3 +212,10 @@ def test_without_one_each_start_makes_a_token_that_nobody_can_guess():
 def test_a_weak_token_is_refused(token):
     with pytest.raises(UsageError, match="at least 12 printable"):
         page_token(environ={TOKEN_VARIABLE: token})
+
+
+def test_other_computers_need_a_token():
+    require_token("127.0.0.1", None)
+    require_token("0.0.0.0", PageToken("0123456789abcdef"))
+    with pytest.raises(UsageError, match="need a token"):
+        require_token("0.0.0.0", None)

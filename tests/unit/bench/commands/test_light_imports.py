@@ -77,8 +77,10 @@ def proposed(*words: str) -> list[str]:
 
 
 def test_stations_and_sequences_are_proposed_and_the_shell_completes_paths():
+    assert proposed("ta") == [("plain", "target")]
     assert proposed("run", "thr") == [("plain", "three_pose")]
     assert proposed("run", "--station", "example_n") == [("plain", "example_network")]
     assert proposed("station", "new", "x.yaml", "--light", "g") == [("plain", "gardasoft")]
     assert proposed("run", "my_se") == [("file", "my_se")]
+    assert proposed("target", "-o", "x") == [("file", "x")]
     assert proposed("resume", "runs/") == [("dir", "runs/")]
