@@ -46,6 +46,11 @@ from bench.work.tasks import Task, find_view
 from bench.work.workers import Serial, Work
 
 ROOT = Path(__file__).parents[2]
+KILLED_EVERY_S = 10.0
+COMMAND_SHARE = 1 / 12
+"""Of the kills, those that hit the command or the scheduler, and no worker."""
+PIECES = 16
+"""Of work, for each part of the scaling."""
 
 
 def main() -> None:
@@ -54,11 +59,8 @@ def main() -> None:
     folder: Path = options.folder.resolve()
     os.environ["STARBENCH_HOME"] = str(folder / "home")
     os.environ["PYTHONPATH"] = str(ROOT)
-    base = options.base or _base_run(folder / "base")
-    if options.only in {"", "scaling"}:
-        scaling(base, options.pieces)
-    if options.only == "scaling":
-        return
+    base = _base_run(folder / "base")
+    scaling(base)
     runs = make_runs(base, folder / "runs", options.runs)
     begun = time.process_time(), time.monotonic()
     expected = serial(folder)
@@ -66,20 +68,19 @@ def main() -> None:
     print(
         f"{time.monotonic() - begun[1]:.0f} s; all converged: {all(r['converged'] for r in expected.values())}"
     )
-    rng = random.Random(options.seed)
-    if options.only in {"", "processes"}:
-        kills = Kills(rng, options.every_s, options.command_dies)
-        rows = kills.calibrate([str(folder / "runs"), "--workers", "2"], folder / "by-processes")
-        report("by 2 processes", rows, expected, kills)
-    if options.only in {"", "dask"} and options.dask_runs:
+    rng = random.Random(1)
+    kills = Kills(rng)
+    rows = kills.calibrate([str(folder / "runs"), "--workers", "2"], folder / "by-processes")
+    report("by 2 processes", rows, expected, kills)
+    if options.dask_runs:
         some = [str(run) for run in runs[: options.dask_runs]]
-        kills = Kills(rng, options.every_s, options.command_dies)
+        kills = Kills(rng)
         with DaskServers(folder) as servers:
             kills.servers = servers
             rows = kills.calibrate([*some, "--workers", servers.address], folder / "by-dask")
         report("by a Dask scheduler", rows, {name: expected[name] for name in some}, kills)
-    if options.only in {"", "s3"} and options.s3_runs:
-        kills = Kills(rng, options.every_s, options.command_dies)
+    if options.s3_runs:
+        kills = Kills(rng)
         some = runs[: options.s3_runs]
         with s3_server() as system:
             for run in some:
@@ -94,19 +95,9 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     parser = measured.options(__doc__)
     parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument(
-        "--base", type=Path, help="a finished run, in place of a new one of the simulated bench"
-    )
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--dask-runs", type=int, default=200)
     parser.add_argument("--s3-runs", type=int, default=24)
-    parser.add_argument("--pieces", type=int, default=16, help="pieces of work for each part of the scaling")
-    parser.add_argument("--every-s", type=float, default=10.0, help="mean time between two kills")
-    parser.add_argument(
-        "--command-dies", type=int, default=12, help="of so many kills, one hits the command itself"
-    )
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", choices=["", "scaling", "processes", "dask", "s3"])
     return parser.parse_args()
 
 
@@ -132,8 +123,8 @@ def serial(folder: Path) -> dict[str, Mapping]:
 class Kills:
     """Runs the command while workers, the command and the scheduler are killed at random."""
 
-    def __init__(self, rng: random.Random, every_s: float, command_dies: int) -> None:
-        self.rng, self.every_s, self.command_dies = rng, every_s, command_dies
+    def __init__(self, rng: random.Random) -> None:
+        self.rng = rng
         self.servers: DaskServers | None = None
         self.counts: Counter[str] = Counter()
         self.doubled = 0
@@ -167,13 +158,13 @@ class Kills:
 
     def _ended(self, process: subprocess.Popen) -> bool:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(self.rng.expovariate(1 / self.every_s))
+            process.wait(self.rng.expovariate(1 / KILLED_EVERY_S))
             return True
         return False
 
     def _kill_one(self, command: int) -> None:
         """Kill a worker; sometimes the command or the scheduler."""
-        if self.rng.random() < 1 / self.command_dies:
+        if self.rng.random() < COMMAND_SHARE:
             if self.servers is not None and self.rng.random() < 0.5:
                 self.counts["scheduler killed"] += 1
                 self.servers.kill_scheduler()
@@ -309,7 +300,7 @@ def timed_find(place: Place, number: int, capture: str, task: Task) -> tuple[int
     return os.getpid(), begun, time.monotonic(), time.process_time() - cpu_s
 
 
-def scaling(base: Path, pieces: int) -> None:
+def scaling(base: Path) -> None:
     """Print the speed of two workers against one, on processors that nobody else uses."""
     task, place = Task(OfflineOptions(), forms()["program"], ""), Place(str(base))
     captures = sorted(path.relative_to(base).as_posix() for path in (base / "captures").glob("*.raw"))
@@ -318,7 +309,7 @@ def scaling(base: Path, pieces: int) -> None:
     with Processes(1) as one_worker, Processes(2) as two:
         for turn in range(5):  # in turns, because the load of the computer changes; the first turn warms up
             for workers in (one_worker, two):
-                ends = _find_all(workers, place, captures, task, pieces if turn else 4)
+                ends = _find_all(workers, place, captures, task, PIECES if turn else 4)
                 if turn:
                     cpu[workers.size] += [end[3] for end in ends]
                     busy[workers.size].append(_busy_share(ends))

@@ -68,7 +68,7 @@ def test_a_ledger_named_twice_and_an_older_copy_count_once(tmp_path, two):
     merged = merge(tmp_path, two[0], two[0], old)
     assert len(merged.runs) == 3
     assert merged.faults == []
-    assert merged.notes[0].endswith("was named twice; it counts once.")
+    assert "named twice" in merged.notes[0]
 
 
 def test_a_missing_folder_and_one_with_another_run_are_faults(tmp_path, two):
@@ -78,13 +78,13 @@ def test_a_missing_folder_and_one_with_another_run_are_faults(tmp_path, two):
     shutil.copytree(tmp_path / "b" / "runs" / "run-00001", runs / "run-00003")
     merged = merge(tmp_path, two[0])
     missing, other = merged.faults
-    assert missing.startswith("run 2 of home (run-00002, finished): its folder ")
+    assert missing.startswith("run 2 of home (run-00002, finished)")
     assert missing.endswith("is missing")
-    assert "now holds another run (number 1)" in other
+    assert "(number 1)" in other
     assert [run.id for run in merged.runs] == ["run-00001", "run-00001"]
     assert [merged.places[run.folder].state for run in merged.runs] == [IN_LEDGER, NOT_IN_LEDGER]
-    unknown = f"1 run names a ledger that was not given: {runs / 'run-00003'}. Name it with --ledger."
-    assert merged.notes == [unknown]
+    (unknown,) = merged.notes
+    assert f"not given: {runs / 'run-00003'}" in unknown
 
 
 def test_folders_that_were_copied_elsewhere_are_found_by_their_line(tmp_path, two):
@@ -103,21 +103,21 @@ def test_a_copy_counts_once_and_a_copy_with_another_content_is_a_fault(tmp_path,
     (results / "results.json").write_text("{}")
     merged = merge(tmp_path, two[0], folders=run_folders(copies))
     assert [run.folder for run in merged.runs if run.id == "run-00001"] == [str(first)]
-    assert merged.notes == [
-        f"{same} is the same run as {first}: journal, results and seal are equal. It counts once."
-    ]
-    assert merged.faults == [
-        f"{other} is the same run as {first}, but it has another journal.jsonl. Only {first} is listed.",
-        f"{results} is the same run as {first}, but it has another results.json. Only {first} is listed.",
-    ]
+    (note,) = merged.notes
+    assert note.startswith(f"{same} is the same run as {first}:")
+    of_journal, of_results = merged.faults
+    assert of_journal.startswith(f"{other} is ")
+    assert "another journal.jsonl" in of_journal
+    assert of_results.startswith(f"{results} is ")
+    assert "another results.json" in of_results
 
 
 def test_changed_results_and_a_broken_journal_are_one_fault_each(tmp_path, two):
     folder = tmp_path / "a" / "runs" / "run-00001"
     assert merge(tmp_path, two[0]).faults == []
     (folder / "results.json").write_text("{}")
-    changed = f"{folder}: results.json was changed: its SHA-256 is not the one in the journal."
-    assert merge(tmp_path, two[0]).faults == [changed]
+    (changed,) = merge(tmp_path, two[0]).faults
+    assert changed.startswith(f"{folder}: results.json was changed")
     journal = tmp_path / "a" / "runs" / "run-00002" / "journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b"Three poses", b"Three Poses"))
     merged = merge(tmp_path, two[0])
@@ -134,11 +134,11 @@ def test_a_removed_seal_is_named(tmp_path, two):
     )
     ledgers = MergedLedgers([LedgerSource(two[0], "a")], {run.ledger_head: EnteredRun(entered, "a", "x")})
     (fault,) = merge_runs(RunIndex(tmp_path / "here"), ledgers, []).faults
-    assert fault.endswith("has none: it was removed.")
+    assert fault.endswith("removed.")
     for name in ("SHA256SUMS", "SHA256SUMS.sig"):
         (folder / name).write_text("x")
     (fault,) = merge_runs(RunIndex(tmp_path / "here"), ledgers, []).faults
-    assert "another seal than the ledger" in fault
+    assert "another seal" in fault
 
 
 def test_a_damaged_ledger_is_a_fault_and_its_runs_are_not_lost(tmp_path, two):

@@ -115,7 +115,7 @@ def test_what_is_no_number_is_empty_and_named(tmp_path):
     (row,) = rows_of(tmp_path / "home", [folder])
     assert row["fx_px"] is None
     assert row["temperature_c"] is None
-    assert row["warnings"][-1] == "fx has no usable value or uncertainty."
+    assert row["warnings"][-1].startswith("fx ")
     assert json.loads(row["other_parameters"]) == {"own": {"value": 1.5, "sigma": 0.5}}
 
 
@@ -127,7 +127,8 @@ def test_results_that_were_changed_give_nothing_but_a_warning(tmp_path):
     (folder / "results.json").write_text(json.dumps(results))
     (row,) = rows_of(home, [folder])
     assert row["target_serial"] is None
-    assert row["warnings"] == ["results.json was changed: its SHA-256 is not the one in the journal."]
+    (warning,) = row["warnings"]
+    assert warning.startswith("results.json was changed")
     assert row["fx_px"] == 3345.0  # the journal has it
 
 

@@ -102,15 +102,3 @@ def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, p
     monkeypatch.setattr("bench.solve.solution.calibrate", lambda *_: pytest.fail("calibrated"))
     message = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
     assert "view1, view2, view3, view4, view5 and other-view1," in message
-
-
-@pytest.mark.parametrize("kind", ["metavision", "hdf5", "numpy"])
-def test_a_recording_is_converted_completely_and_never_overwrites_a_file(
-    capsys, evk4_recording, tmp_path, kind
-):
-    from imported import import_events
-
-    raw = evk4_recording
-    assert "82469 events, 2 triggers" in out_of(capsys, "convert", raw, tmp_path / "out", "--as", kind)
-    assert len(import_events(tmp_path / "out").events.t) == 82_469
-    out_of(capsys, "convert", raw, tmp_path / "out", "--as", kind, status=2)

@@ -35,10 +35,6 @@ def run(*words, home):
     [
         (b"#!AER-DAT2.0\r\n", "a text file"),
         (NO_SIZE + WORDS, "--sensor-size"),
-        (b"% format EVT4;height=720;width=1280\n% end\n", "EVT4"),
-        (b"% format EVT3;height=720;width=1280\n% end\n\x01\x80\x00\x60\xff\x07", "Row 2047"),
-        (b"0.1 3 4 1\n", "a text file"),
-        (b"\x89HDF\r\n\x1a\n", "damaged or incomplete"),
     ],
 )
 def test_an_invalid_file_ends_with_2_and_one_message(tmp_path, content, words):

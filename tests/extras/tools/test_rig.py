@@ -173,7 +173,7 @@ def test_a_rig_of_an_earlier_day_is_right_with_both_uncertainties(capsys, drawn,
     ("content", "fault"),
     [
         ("{}", "it has no 'vector_deg'"),
-        ('{"T_slave_master": []}', "it states 0 cameras beside the master"),
+        ('{"T_slave_master": []}', "0 cameras"),
         ('{"T_slave_master": [{"rvec": [0, 0, 0]}]}', "it has no 'tvec'"),
         ('{"T_slave_master": [{"rvec": [0, 0, 1e999], "tvec": [0, 0, 0]}]}', "does not hold a rig"),
         ('{"T_slave_master": [{"rvec": [0, 0, 0], "tvec": [0, 0, 1e30]}]}', "is not a distance on a rig"),
@@ -232,7 +232,7 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
         (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board", 2),
         (
             ("{}/left", "{}/right", "--calibration", "{}/left/a.yaml", "{}/right.yaml"),
-            "made from the same views. They would count twice.",
+            "made from the same views",
             2,
         ),
         (("{}/left", "{}/other", *BOARD), "share no pose", 1),
@@ -243,7 +243,7 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
             "Both cameras have the same views.",
             2,
         ),
-        (("{}/left", "{}/blank", *BOARD), "The whole board must be in view", 1),
+        (("{}/left", "{}/blank", *BOARD), "whole board", 1),
         (("{}/left", "{}/moved", *BOARD), "do not fit one rig", 1),
         (
             ("{}/left", "{}/right", *BOARD[:2], "--calibration", "{}/left.yaml", "{}/small.yaml"),
@@ -252,12 +252,12 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"),
-            "its image has 640 x 480 px, not those of --image-size",
+            "its image has 640 x 480 px",
             2,
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"),
-            "it holds 2 cameras: cam0, cam1. Name one with --camera",
+            "2 cameras: cam0, cam1",
             2,
         ),
     ],

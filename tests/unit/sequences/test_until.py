@@ -62,18 +62,13 @@ def test_its_calibrations_use_the_defaults_of_solve():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("{}", "an until needs a goal: expanded_fx_px or worst_corner_px."),
+        ("{}", "expanded_fx_px or worst_corner_px"),
         ("{expanded_fx_px: 0}", "expanded_fx_px: must be more than 0 (got '0')."),
-        ("{expanded_fx_px: -1}", "must be more than 0"),
         ("{expanded_fx_px: 1, at_most: 1}", "at_most: must be 2 or more"),
         ("{expanded_fx_px: 1, at_most: 501}", "at_most: must be 500 or less"),
-        ("{expanded_fx_px: 1, minutes: 0}", "minutes: must be more than 0"),
         ("{expanded_fx: 1}", "unknown key. Did you mean 'expanded_fx_px'?"),
-        ("{expanded_fx_px: 1, start: nowhere}", "no set of poses has this name (got 'nowhere')."),
-        (
-            "{expanded_fx_px: 1, at_most: 2, start: {pan_deg: [1, 2, 3]}}",
-            "start has 3 poses, more than at_most (2).",
-        ),
+        ("{expanded_fx_px: 1, start: nowhere}", "(got 'nowhere')"),
+        ("{expanded_fx_px: 1, at_most: 2, start: {pan_deg: [1, 2, 3]}}", "start has 3 poses"),
         ("{expanded_fx_px: 1, record: {attempts: 0}}", "record.attempts: must be 1 or more"),
     ],
 )

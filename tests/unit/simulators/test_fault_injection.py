@@ -131,16 +131,6 @@ def test_a_mended_axis_has_no_faults_to_come(bench: Bench):
     assert re.search(r" 6400(:|\s)", bench.say("/1 1 get pos"))
 
 
-def test_mending_the_light_mends_lamp_and_line(bench: Bench):
-    bench.parts.lines["light"].receive(b"OUTP ON\n")
-    bench.order("light lamp_open")
-    assert bench.shown[-1].high == 0.0
-    bench.order("light mend")
-    assert bench.shown[-1].high > 0.0
-    bench.order("light trip")
-    assert not bench.shown[-1].output
-
-
 def test_faults_of_the_camera_reach_it(bench: Bench):
     bench.order("camera unplug")
     bench.order("camera fault message='too hot'")

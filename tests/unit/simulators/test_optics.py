@@ -63,19 +63,6 @@ def test_a_pixel_of_a_fisheye_sees_the_print_that_is_projected_onto_it():
     assert image[lit].mean() == pytest.approx(0.5, abs=0.03)
 
 
-def test_pose_turns_pan_first_then_tilt_then_roll():
-    none = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
-    pan, tilt, roll = 3.0, 5.0, 20.0
-
-    def turn(axis, angle):
-        return cv2.Rodrigues(math.radians(angle) * np.eye(3)[axis])[0]
-
-    expected = turn(2, roll) @ turn(0, tilt) @ turn(1, pan)
-    np.testing.assert_allclose(
-        optics.pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, none), expected, atol=1e-12
-    )
-
-
 def test_a_pixel_shows_the_share_of_white_print_that_opencv_projects_onto_it():
     truth = Truth(
         camera=SMALL,

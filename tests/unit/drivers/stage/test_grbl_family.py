@@ -137,7 +137,7 @@ def test_a_search_that_failed_at_once_is_told_at_once() -> None:
     assert rig.clock.now_s - began_s < 10.0
 
 
-@pytest.mark.parametrize("steps_per_deg", [88.889, 100.1, 77.77, 66.67, 55.556, 44.45, 222.23, 711.11, 160.1])
+@pytest.mark.parametrize("steps_per_deg", [88.889, 44.45, 711.11])
 def test_a_limit_can_be_reached_with_any_scale(steps_per_deg) -> None:
     rig = Rig(steps_per_deg=steps_per_deg)
     stage = rig.homed()

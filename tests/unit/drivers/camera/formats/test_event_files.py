@@ -163,11 +163,6 @@ def test_a_file_that_holds_no_events_is_refused_by_name(tmp_path, content):
         import_events(tmp_path / "a.h5")
 
 
-def test_a_missing_file_is_told(tmp_path):
-    with pytest.raises(RecordingFileError, match="no such file"):
-        import_events(tmp_path / "none.h5")
-
-
 def test_a_group_where_the_events_belong_is_told(tmp_path):
     path = tmp_path / "a.hdf5"
     with h5py.File(path, "w") as file:
