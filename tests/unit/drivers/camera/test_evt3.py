@@ -47,18 +47,15 @@ def test_events_before_the_first_time_are_dropped():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((row(0), event(1), row(HEIGHT)), "Row 720 lies outside the sensor of 1280 x 720"),
-        ((row(0), event(1), event(WIDTH)), "column 1280 lies outside the sensor of 1280 x 720"),
-        ((row(HEIGHT),), "Row 720 lies outside the sensor of 1280 x 720"),
-        ((row(0), event(WIDTH)), "column 1280 lies outside the sensor of 1280 x 720"),
-        (
-            (row(0), base(WIDTH - 4), vector12(0b10000)),
-            "vector that begins at column 1276 holds events beyond",
-        ),
-        ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector that begins at column 1276 "),
-        ((row(0), base(2047), vector12(1)), "vector that begins at column 2047 "),
-        ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector that begins at column 1272 "),
-        ((0x9000,), "type of word 0x9000 does not exist in EVT3"),
+        ((row(0), event(1), row(HEIGHT)), "Row 720 .* 1280 x 720"),
+        ((row(0), event(1), event(WIDTH)), "column 1280 .* 1280 x 720"),
+        ((row(HEIGHT),), "Row 720 .* 1280 x 720"),
+        ((row(0), event(WIDTH)), "column 1280 .* 1280 x 720"),
+        ((row(0), base(WIDTH - 4), vector12(0b10000)), "vector .* column 1276 "),
+        ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector .* column 1276 "),
+        ((row(0), base(2047), vector12(1)), "vector .* column 2047 "),
+        ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector .* column 1272 "),
+        ((0x9000,), "0x9000"),
         ((0xB123,), "0xB123"),
         ((0xCFFF,), "0xCFFF"),
     ],
@@ -186,7 +183,8 @@ def test_a_stream_without_a_whole_time_has_no_duration():
 def test_time_high_leaping_forward_is_a_gap():
     statistics = decode(high(10), low(100), high(12), low(0))[2]
     assert statistics.gaps == ((10 * 4096 + 100, 12 * 4096),)
-    assert statistics.loss_messages() == ("Words are missing from 41060 to 49152 us of the sensor's clock.",)
+    (told,) = statistics.loss_messages()
+    assert "41060 to 49152 us" in told
 
 
 def test_gaps_beyond_the_kept_ones_are_counted():

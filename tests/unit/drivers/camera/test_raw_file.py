@@ -58,13 +58,6 @@ def test_counts_are_the_events_of_each_pixel(raw):
     assert image[1, 5, 3] == image[0, 5, 4] == 1
 
 
-def test_chunks_hold_no_more_than_asked_for_and_all_together(raw):
-    words = [0x8001, 0x6002, 0x0005, *[0x2000 | x for x in range(1000)]]
-    chunks = list(RawFile.open(raw(words)).chunks(max_events=64))
-    assert max(len(chunk.t) for chunk in chunks) <= 64
-    assert np.concatenate([chunk.x for chunk in chunks]).tolist() == list(range(1000))
-
-
 def test_a_long_file_is_streamed_in_little_memory(raw):
     words = np.full(12_000_000, 0x2007, "<u2")
     words[:3] = 0x8001, 0x6002, 0x0005
@@ -198,16 +191,10 @@ def zip_start(*names):
         ("x;y;Polarit\u00e4t;Zeit\n".encode("cp1252"), "a text file"),
         (b"<!DOCTYPE html>\n<html>", "a web page.*Raw"),
         (b"version https://git-lfs.github.com/spec/v1\noid", "a pointer of Git LFS"),
-        (
-            zip_start(b"[Content_Types].xml", b"_rels/.rels", b"xl/workbook.xml"),
-            "a document of an office program.*CSV",
-        ),
-        (
-            zip_start(b"mimetypeapplication/vnd.oasis.opendocument.spreadsheet"),
-            "a document of an office program.*CSV",
-        ),
-        (zip_start(b"[Content_Types].xml", b"word/document.xml"), "a document of an office program.*CSV"),
-        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an? .*office program.*CSV"),
+        (zip_start(b"[Content_Types].xml", b"_rels/.rels", b"xl/workbook.xml"), "office program.*CSV"),
+        (zip_start(b"mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "office program.*CSV"),
+        (zip_start(b"[Content_Types].xml", b"word/document.xml"), "office program.*CSV"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "office program.*CSV"),
         (b"\0" * 100, "nothing but zeros"),
         (b"#!AER-DAT2.0\r\n# created by v2e\r\n\0\1", "binary data.* AEDAT 4.* faery"),
         (b"MATLAB 5.0 MAT-file, Platform", "a text file.*faery"),
@@ -224,13 +211,10 @@ def zip_start(*names):
         (b"\x01\x80\x02\x60", "binary data without a RAW header.* with their headers"),
         (b"% format EVT21;height=720;width=1280\n% end\n", "The file holds EVT21"),
         (b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n", "The file holds EVT2;"),
-        (b"% geometry 640x480\n% end\n", "an encoding that its header does not name"),
+        (b"% geometry 640x480\n% end\n", "encoding .* header"),
         (b"% evt 3.0\n% end\n", "does not state the sensor's size"),
-        (
-            b"% format EVT3;height=720;width=1280\n% geometry 640x480\n",
-            "format states 1280 x 720, geometry states 640 x 480",
-        ),
-        (b"% format EVT3;height=0;width=1280\n", "invalid size of the sensor: '1280' x '0'"),
+        (b"% format EVT3;height=720;width=1280\n% geometry 640x480\n", "1280 x 720, geometry .* 640 x 480"),
+        (b"% format EVT3;height=0;width=1280\n", "'1280' x '0'"),
         (b"% evt 3.0\n% geometry wide\n", "'wide' x ''"),
         (b"% format EVT3;height=720;width=1280", "ends within its header"),
     ],
