@@ -161,16 +161,6 @@ def edges(count, jitter_us=0.0):
     return triggers_of(t, np.tile([1, 0], count))
 
 
-def test_rates_and_frequency():
-    signal = measure_signal(counted(12), edges(12), 60.0)
-    assert signal.trigger_hz == pytest.approx(1e6 / PERIOD_US, rel=1e-6)
-    assert signal.on_share == pytest.approx(2 / 3)
-    assert (signal.triggers, signal.triggers_expected) == (12, 12)
-    assert signal.events_per_s == pytest.approx(600 * 1e6 / PERIOD_US, rel=0.05)
-    assert signal.jitter_us == pytest.approx(0.3, abs=0.3)
-    assert signal.sync_fault == ""
-
-
 def test_the_jitter_of_the_sync_is_the_drawn_one():
     signal = measure_signal(counted(40), edges(40, jitter_us=25.0), None)
     assert signal.jitter_us == pytest.approx(25.0, rel=0.25)

@@ -65,7 +65,7 @@ def test_a_view_has_the_name_of_its_file_and_without_a_stated_size_that_of_its_p
 WRONG = {
     "shares of the image": (text(ROWS / [1400, 900, 1, 1, 1]), "within 1.5 px"),
     "the target before the image": (text(ROWS[:, [2, 3, 0, 1, 4]]), "target seems to stand before the image"),
-    "a header without ids": (text(ROWS, "{0},{1},{2},{3}", "x,y,X,Y"), "no column 'id'"),
+    "a header without ids": (text(ROWS, "{0},{1},{2},{3}", "x,y,X,Y"), r"a\.csv:1: .*no column 'id'"),
     "a target in m by its header": (text(ROWS, header="x,y,X_m,Y_m,id"), "no column 'X'"),
     "a note of a person": ("taken on Monday\n", "no list of points"),
     "a target that is not flat": (text(ROWS, "{0},{1},{2},{3},5,{4}", "x,y,X,Y,Z,id"), "plane Z = 0"),
