@@ -20,7 +20,7 @@ from bench.wording.numbers import plus_minus
 
 if TYPE_CHECKING:
     from bench.camera_files.camera_values import LensFamily
-    from bench.solve.rig import RigFound
+    from bench.extras.tools.rig_of_views import RigFound
     from calib.studies.clock_offset import ClockOffset
     from calib.studies.rig import Rig, RigDifference
 
@@ -90,9 +90,9 @@ def rig(
     FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
     Behind a collimator they give the rotation, of a board the translation too.
     """
+    from bench.extras.tools.rig_of_views import find_clocks, find_rig, read_rig_file, rig_exports
     from bench.record.storage import new_output, write_files
     from bench.solve.offline_options import OfflineOptions
-    from bench.solve.rig import find_clocks, find_rig, read_rig_file, rig_exports
 
     earlier = read_rig_file(stated) if stated else None
     choices = OfflineOptions.from_command_line(**options)

@@ -58,7 +58,7 @@ def undistort(
     remap, and the camera matrix before and after; camera_info.yaml is ROS's, with the new matrix as P.
     """
     from bench.base.image_size import parse_image_size
-    from bench.solve.exports import read_picture_for, undistorted_files
+    from bench.extras.tools.undistorted_files import read_picture_for, undistorted_files
     from calib.model.camera import undistort as tables_of
 
     with new_output(output) as part:

@@ -67,7 +67,7 @@ def prepare(inputs):
 
 if __name__ == "__main__":
     quick = [
-        once("bench.solve.rig", "find_rig"),
+        once("bench.extras.tools.rig_of_views", "find_rig"),
         mock.patch("bench.extras.certificate.issue.certificate_files", quick_files),
         mock.patch("bench.extras.certificate.pdf.plots_of_run", return_value={}),
     ]
