@@ -135,6 +135,14 @@ def test_a_steady_light_is_switched_off_by_who_did_not_switch_it_on(light, bench
     assert not bench.lit()
 
 
+def test_a_steady_light_that_burns_takes_another_level_at_once(light, bench) -> None:
+    light.apply(LightSettings("steady", high_v=2.5))
+    light.on()
+    assert light.apply(LightSettings("steady", high_v=1.0)).high_v == pytest.approx(1.0)
+    assert bench.states[-1].high_v == pytest.approx(1.0)
+    assert bench.sent("GT") == ["GT0"]  # once
+
+
 def test_a_steady_light_that_the_controller_holds_lower_is_refused(light, bench) -> None:
     light.apply(LightSettings("steady", high_v=2.5))
     bench.turn("RS1,50.0", "RS1,40.0")

@@ -6,6 +6,7 @@ import pytest
 
 from drivers.errors import SettingRefused
 from drivers.light import LightSettings
+from drivers.light.scpi_dialects import DIALECTS
 from tests.unit.drivers.light.generator_bench import Bench
 
 OTHERS = pytest.mark.parametrize("dialect", ["keysight", "numbered", "siglent"])
@@ -26,6 +27,24 @@ def test_a_generator_without_a_polarity_of_sync_is_not_said_to_have_it(dialect) 
     bench = Bench(dialect)
     bench.turn("OUTP1:SYNC:POL", "OUTP1:SYNC:POX")
     assert bench.open().sync_polarity() == "not stated by the device"
+
+
+def test_one_spoilt_reply_about_a_mode_is_asked_for_again_and_refuses_nothing() -> None:
+    bench = Bench()
+    light, left = bench.open(), [b"1\n"]
+    bench.line.spoil = lambda reply: left.pop() if left and bench.sent()[-1] == "BURS:STAT?" else reply
+    light.apply(LightSettings(frequency_hz=60.0))
+    assert bench.sent().count("BURS:STAT?") == 2
+
+
+def test_a_generator_that_is_silent_about_its_first_mode_is_asked_for_no_other() -> None:
+    bench = Bench()
+    queries = {mode.query for mode in DIALECTS["keysight"].modes()}
+    bench.line.spoil = lambda reply: b"" if bench.sent()[-1] in queries else reply
+    light = bench.open(load="unchanged")
+    light.apply(LightSettings(frequency_hz=60.0))
+    light.apply(LightSettings(frequency_hz=50.0))
+    assert len({text for text in bench.sent() if text in queries}) == 1
 
 
 SPOILT = [
