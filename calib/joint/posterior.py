@@ -28,10 +28,7 @@ from calib.joint.modes import Modes, modes_of
 from calib.joint.places import spread_of_places
 from calib.joint.samples import Node, nodes_about
 from calib.joint.solve import Optimum, optimum_with_faults, relative_step
-from calib.model.result_parts import COVERAGE
 
-#: Halvings of an interval until its half width is known to 1e-9 of the widest.
-_HALVINGS = 30
 _PAIRS, _FAULT_PAIRS = 12, 4
 #: A mode of a smaller share stands for all amplitudes about it.
 _SMALL_SHARE, _SMALL_DOUBT = 0.01, 0.05
@@ -155,22 +152,12 @@ class Posterior:
         return np.asarray(np.where(focal, self.reach * self.mean, 0.0))
 
     def expanded(self, row: Array) -> float:
-        """Return the half width of the interval that covers 95.45 % of the function with the (S,) gradient row.
+        """Return U of the function with the (S,) gradient row: 2 u, and beyond as far as the focal lengths of poses.
 
-        It reaches as far beyond as the focal lengths of the poses do.
+        An interval of 95.45 % jumps where the probability of a second camera passes 4.55 %.
         """
-        at = np.flatnonzero(row)
-        offsets = (self.means[:, at] - self.mean[at]) @ row[at]
-        sigmas = np.sqrt([row[at] @ own[at[:, None], at] @ row[at] for own in self.covariances])
-        low, high = 0.0, float((np.abs(offsets) + 6.0 * sigmas).max())
-        for _ in range(_HALVINGS):
-            half = 0.5 * (low + high)
-            ends = np.array([half - offsets, half + offsets]) / (np.sqrt(2.0) * sigmas)
-            inside = 0.5 * np.array([[math.erf(bound) for bound in side] for side in ends.tolist()]).sum(
-                axis=0
-            )
-            low, high = (low, half) if float(self.weights @ inside) > COVERAGE else (half, high)
-        return 0.5 * (low + high) + abs(float(row @ self.unsteady))
+        beyond = abs(float(row @ self.unsteady))
+        return 2.0 * math.sqrt(float(row @ self.covariance @ row) - beyond**2 / 3.0) + beyond
 
     def share_of(self, fault: tuple[str, str]) -> float:
         """Return the probability of a fault of a statement, or of its other meaning."""

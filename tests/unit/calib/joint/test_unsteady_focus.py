@@ -48,7 +48,7 @@ def test_uncertainties_span_the_focal_lengths_that_were_there_and_a_cause_says_s
     (cause,) = answer.raw.causes
     assert cause.kind == kind
     assert abs(cause.value) == pytest.approx(100.0 * np.ptp(shares), abs=1.5 * cause.expanded)
-    assert off.max() < 1.0
+    assert off.max() < 1.1  # 1.9 if U did not reach to the poses
     assert "U spans" in answer.notes[0]
     assert not any("The statement" in note for note in answer.notes)
 
