@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
+from rich.console import ConsoleDimensions
 from terminal_screen import Screen
 
 from bench.base.text_block import Block
@@ -88,6 +89,24 @@ def test_elsewhere_each_line_is_printed_once(run, followed, capsys):
     assert sum(line.startswith("Run run-7") for line in lines) == 2  # at the begin and at the end
     assert lines[-1].startswith("No process works")
     assert "\x1b" not in "".join(lines)
+
+
+def test_a_block_fits_a_terminal_that_becomes_narrower_and_lower(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    size = [48, 12]
+    monkeypatch.setattr("rich.console.Console.size", property(lambda _: ConsoleDimensions(*size)))
+    terminal, screen = Terminal(), Screen(*size)
+    block = Block(terminal)
+    for columns, rows, log in ((48, 12, 4), (48, 12, 4), (30, 8, 20)):
+        size[:] = screen.columns, screen.height = columns, rows
+        begin = terminal.tell()
+        block.draw(["Run", "state"], [f"line {number} {'x' * 60}" for number in range(log)], ["tail"])
+        screen.feed(terminal.getvalue()[begin:])
+        shown = screen.text.splitlines()
+        assert [*shown[:2], shown[-1], len(shown)] == ["Run", "state", "tail", 7]
+        assert shown[-2].startswith(f"line {log - 1} x")
+        assert (len(shown[-2]), shown[-2][-1]) == (columns - 1, "\N{HORIZONTAL ELLIPSIS}")
+    assert (screen.scrolled, screen.unknown) == ([], [])
 
 
 def test_a_name_cannot_move_the_cursor(capsys, monkeypatch):
