@@ -40,7 +40,7 @@ def find_causes(
     wrong.
     """
     found = [cause for cause in of_views if cause is not None]
-    ids = [cause for cause in found if cause.kind in kinds.OF_IDS]
+    ids = [cause for cause in found if cause.kind == kinds.IDS]
     causes = ids or [*_of_gimbal(result, stated), *_other_scale(posterior, stated), *found]
     causes = [replace(cause, evidence=min(cause.evidence, LARGEST_EVIDENCE)) for cause in causes]
     return tuple(sorted(causes, key=lambda cause: -cause.evidence))

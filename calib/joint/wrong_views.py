@@ -138,12 +138,10 @@ def find_shifted_ids(
     likeliest = max(every, key=worth)
     best = likeliest if likeliest is best or holds(likeliest) else best
     rivals = [moved for moved in every if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE]
-    shown, alike = _in_words(views, best), {_in_words(views, moved) for moved in rivals}
+    shown = [_in_words(views, moved) for moved in (best, *rivals)]
     if len(views) == 2:  # what all views have in common is another centre
-        alike.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
-    alike -= {shown}
-    kind = kinds.ONE_OF_IDS if alike else kinds.IDS
-    return Cause(kind, worth(best) + DECISIVE, axis=", or ".join([shown, *sorted(alike)]))
+        shown += [_in_words(views, replace(best, shifts=best.shifts - best.shifts.sum(axis=0)))]
+    return Cause(kinds.IDS, worth(best) + DECISIVE, axis=", or ".join(dict.fromkeys(shown)))
 
 
 def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_Moved]:

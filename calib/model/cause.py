@@ -30,9 +30,7 @@ FOCUSED, FOCUS_CREEPS, FOCUS_PLAYS = (
     "focal length of each pose",
 )
 UNCHANGED = "focal length that does not change"
-IDS, ONE_OF_IDS = "star ids of views shifted", "star ids of one view of several shifted"
-OF_IDS = IDS, ONE_OF_IDS
-ORIGIN = "views with another origin"
+IDS, ORIGIN = "star ids of views shifted", "views with another origin"
 SCALED = "target of another scale"
 #: Statements of the station (`calib.joint.knowledge`) that stand beside a target of another scale.
 CERTIFICATE, PARALLAX = "certificate of the collimator", "pupil and defocus"
@@ -229,11 +227,6 @@ _WORDS: Mapping[str, Words] = {
     IDS: Words(
         says="The star ids are wrong: shift the ids of {axis}. Then the stars fit far better",
         remedy="Check the tag or the id file of these views.",
-    ),
-    ONE_OF_IDS: Words(
-        says="The star ids of one view may be shifted, but these views do not show which one. Shift the ids of {axis}. "
-        "Then the stars fit far better",
-        remedy="Check the ids of these views, or add views.",
     ),
     ORIGIN: Words(
         says="The points of {pose} lie {size} {axis} of those of the other views: their origin seems to differ",

@@ -164,7 +164,7 @@ MISTAKES: Mapping[str, Mistake] = {
     "one reading 0.2 degrees off": Mistake(_one_reading(0.2), (kinds.ONE_POSE,)),
     "images mirrored": Mistake(_mirrored, (), "mirror"),
     "camera upside down": Mistake(_rolled),  # which is right
-    "ids of a view shifted": Mistake(_shifted, kinds.OF_IDS),
+    "ids of a view shifted": Mistake(_shifted, (kinds.IDS,)),
     "collimator knocked by 0.1 degrees": Mistake(_knocked(0.1, by_room=True), (kinds.MOVED,)),
     "collimator knocked by 0.5 degrees": Mistake(_knocked(0.5, by_room=True), (kinds.MOVED,)),
     "target turned in its holder": Mistake(_knocked(0.3, np.array([0.0, 0.0, 1.0]), True), (kinds.HELD,)),
