@@ -117,6 +117,7 @@ def test_another_device_at_the_same_address_is_not_set(network) -> None:
     assert len(network.states) == before
 
 
+@pytest.mark.slow
 def test_a_line_that_a_network_has_forgotten_is_opened_again_to_switch_off() -> None:
     """A gateway drops a connection without a word: nothing comes back, and nothing says why."""
     network = Network("gardasoft", idle_s=0.0)

@@ -82,6 +82,7 @@ def certified():
     return bench, certificate, calibrate(bench.views, CalibrationOptions(passport=certificate))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -113,6 +113,7 @@ def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said(
     assert expected("three_pose").courses == ()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarse")
 def test_a_second_until_goes_on_from_the_poses_of_the_first(tmp_path):
     text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()

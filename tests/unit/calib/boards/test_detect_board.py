@@ -88,6 +88,7 @@ def test_the_centre_of_a_circle_is_its_own_image_not_that_of_the_ellipse():
     assert np.linalg.norm(centre - apply_homography(steep, board.points_mm[:1])[0]) > 0.25
 
 
+@pytest.mark.slow
 def test_stated_uncertainty_grows_with_the_noise_and_covers_the_errors():
     rng = np.random.default_rng(4)
     clean = picture(CHECKERBOARD)

@@ -98,6 +98,7 @@ def test_a_view_of_random_ids_is_refused_by_name(seed):
         find_gross_stars([replace(view, points_px=rng.permutation(view.points_px))])
 
 
+@pytest.mark.slow
 def test_views_that_show_no_plane_are_left_out_and_named():
     views = Bench().views(np.random.default_rng(5), 0.05)
     first = views[0]

@@ -103,6 +103,7 @@ def test_the_map_is_as_large_as_the_errors_of_the_directions(benches):
     assert 0.15 < np.mean(ratios) < 1.1
 
 
+@pytest.mark.slow
 def test_a_focal_length_that_drifts_from_pose_to_pose_is_named_with_its_size():
     views = draw_bench("like-bench", NINE, 31).views
     steady, moved = (

@@ -172,6 +172,7 @@ def test_a_certificate_is_not_blamed_for_a_shifted_view():
         calibrate(views, options_for(drawn, "cr"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chosen", [(1, 5, 9), pytest.param((0, 3, 7, 11, 15, 19), marks=pytest.mark.slow)])
 def test_real_aberrations_are_not_taken_for_shifted_ids(collimator_recordings, chosen):
     views = read(collimator_recordings)

@@ -79,6 +79,7 @@ def test_light_that_falls_off_across_a_star_is_measured_and_shifts_it_little():
     assert np.abs(np.mean(likely.centres[steep] - centres[steep], axis=0)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_covariances_are_about_right_if_edges_do_not_run_along_the_pixels():
     image, centres, shape = stars(17.0, seed=3)
     start = centres + 0.03 * np.random.default_rng(1).standard_normal(centres.shape)
