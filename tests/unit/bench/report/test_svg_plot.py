@@ -49,11 +49,12 @@ FINITE = st.floats(-1e6, 1e6)
 
 
 @given(FINITE, st.floats(1e-3, 1e6), st.integers(2, 12))
+@example(1e-05, 40_001.0, 2)  # one number alone: 0, next to the begin of the range
 @example(1.0, 400_001.0, 2)  # the round number next to it, 500,000, lies outside
 def test_ticks_are_few_round_numbers_within_the_range(low, span, most):
     places = ticks(low, low + span, most)
     assert 1 <= len(places) <= most + 1
-    step = places[1] - places[0] if len(places) > 1 else 1.0
+    step = places[1] - places[0] if len(places) > 1 else span
     assert all(low - 1e-6 * step - 1e-9 <= value <= low + span + 1e-6 * step + 1e-9 for value in places)
     if len(places) > 1:
         assert float(f"{step:.0e}") == pytest.approx(step, rel=1e-6)
