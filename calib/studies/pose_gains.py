@@ -26,7 +26,7 @@ from calib.view import View
 Angles = Mapping[str, float]
 
 #: Amplitudes of the errors that follow the collimator, and of those that follow the turn.
-_COMMON = (amp.RADIAL, amp.SHIFTED, *amp.COMMON)
+_COMMON = (amp.RADIAL, amp.SHIFTED, amp.ANAMORPHIC, *amp.COMMON)
 _BY_TURN = (amp.CURVATURE_TURN, amp.SCALE_TURN_2, *amp.TURN, *amp.TURN_2)
 #: A bad collimator may be badly focused, too. A good one is not better focused than others.
 _FOCUS = (amp.PARALLAX, amp.ASIDE)
