@@ -120,7 +120,7 @@ def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen(
 def test_a_search_that_began_far_away_begins_again_where_it_ended():
     """It begins 16 % off in the focal length. Fields grew on the way, and held cy 67 px off at U 17 px."""
     line = drawn_result("raytraced-far", 3, 461, "r")
-    assert abs(line["error"]["cy"]) < 2.0 * line["U"]["cy"] < 40.0
+    assert abs(line["error"]["cy"]) < 2.5 * line["U"]["cy"] < 40.0
 
 
 @pytest.mark.slow
