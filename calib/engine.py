@@ -119,10 +119,15 @@ def _require_kinds(views: Sequence[object], options: object) -> None:
 
 
 def _check(views: Sequence[View], fewest: int, left_out: Sequence[str]) -> None:
-    """Refuse views that do not belong together, or are too few; ``left_out`` names stars and views."""
+    """Refuse views that do not belong together, or are too few.
+
+    ``left_out`` holds a sentence for each given view, empty if it is used whole.
+    """
     if len(views) < fewest:
         or_passport = ", or give a collimator's passport" if len(views) == 1 else ""
         few = f"{len(views)} view{'s' if len(views) != 1 else ''} given; at least {fewest} needed."
+        if len(views) < len(left_out):
+            few = f"Of {len(left_out)} views, {len(views)} can be used; at least {fewest} needed."
         raise DegenerateViews(
             " ".join(filter(None, (few, *left_out))),
             remedy=f"Record the target from more angles{or_passport}.",

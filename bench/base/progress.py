@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import queue
 import select
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,6 +27,9 @@ _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 _POLL_S = 0.2  # A line that changes more often flickers
 _YES = {"c", "continue", "y", "yes"}
 _NO = {"a", "abort", "n", "no"}
+
+_readers: dict[TextIO, queue.SimpleQueue[str]] = {}
+"""One reader for each terminal. A reader that waits for a line cannot be stopped, so the next question uses it."""
 
 
 class Progress:
@@ -123,13 +128,14 @@ def ask(
 ) -> Reply:
     """Ask the operator, and wait for an answer, or for the default, ``continue`` or ``abort``, at the deadline.
 
-    ``terminal`` None means standard input. If that is no terminal, or Windows' one, only ``elsewhere`` answers:
-    `starbench tell` with the folder of the run.
+    ``terminal`` None means standard input. If that is no terminal, only ``elsewhere`` answers: `starbench tell` with
+    the folder of the run.
     """
     tell = f"`{pasteable('tell', folder, 'yes')}` (or no)"
     source = sys.stdin if terminal is None else terminal
-    typed = _typed(source) if source is not None and source.isatty() else None  # None: no standard input
-    how = "[c]ontinue / [a]bort" if typed is not None else tell
+    here = source is not None and source.isatty()  # None: the process has no standard input
+    typed = _typed(source) if here else None
+    how = "[c]ontinue / [a]bort" if here else tell
     say(f"{text}  {how}, {default} after {timeout_s:g} s:")
     deadline = clock.monotonic() + timeout_s
     while clock.monotonic() < deadline:
@@ -149,15 +155,12 @@ def ask(
     return Reply(default, "time-out")
 
 
-def _typed(source: TextIO) -> Callable[[], str | None] | None:
-    """Return what returns the next line typed: None while there is none, ``""`` at the end of the input.
-
-    None where select accepts sockets only, as on Windows.
-    """
+def _typed(source: TextIO) -> Callable[[], str | None]:
+    """Return a function that returns the next line typed: None while there is none, ``""`` at the end of the input."""
     try:
         select.select([source], [], [], 0)
-    except (OSError, ValueError):
-        return None
+    except (OSError, ValueError):  # on this system select accepts sockets only
+        return _lines_of(source)
     _discard_typed(source)
     return lambda: source.readline() if select.select([source], [], [], 0)[0] else None
 
@@ -169,3 +172,31 @@ def _discard_typed(source: TextIO) -> None:
 
         with suppress(termios.error):
             termios.tcflush(source.fileno(), termios.TCIFLUSH)
+
+
+def _lines_of(source: TextIO) -> Callable[[], str | None]:
+    """Read a terminal in a thread of its own. What was typed before the question is discarded."""
+    lines = _readers.get(source)
+    if lines is None:
+        lines = _readers[source] = queue.SimpleQueue()
+        threading.Thread(target=_read, args=(source, lines), daemon=True, name="terminal").start()
+    else:
+        while not lines.empty():
+            lines.get_nowait()
+
+    def typed() -> str | None:
+        return None if lines.empty() else lines.get_nowait()
+
+    return typed
+
+
+def _read(source: TextIO, lines: queue.SimpleQueue[str]) -> None:
+    """Put the lines of a terminal into a queue until the input ends."""
+    while True:
+        try:
+            line = source.readline()
+        except (OSError, ValueError):
+            line = ""
+        lines.put(line)
+        if not line:
+            return

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from bench.base.clock import Aborted, BenchClock, VirtualClock
 from bench.base.progress import Progress, Reply, ask
@@ -17,6 +18,19 @@ NIGHT = datetime(2026, 3, 1, 20, tzinfo=UTC)
 class Terminal(io.StringIO):
     def isatty(self):
         return True
+
+
+class Typed(Terminal):
+    """A terminal that no select takes, whose lines come as they are typed."""
+
+    def __init__(self, lines):
+        super().__init__()
+        self.lines, self.read = lines, 0
+
+    def readline(self):
+        line = self.lines.readline()
+        self.read += 1
+        return line
 
 
 def test_without_a_terminal_each_change_is_a_line_with_state_pose_and_time_left():
@@ -110,15 +124,30 @@ def test_the_operators_word_counts_and_an_empty_line_is_the_default(selected, ty
     assert asked(selected[0], default=default) == (word or default, "operator")
 
 
-@pytest.mark.parametrize("waits_for_terminals", [True, False])
-def test_a_terminal_that_was_closed_or_takes_no_select_answers_nothing(request, waits_for_terminals):
+@pytest.mark.parametrize(("typed", "word"), ANSWERS)
+def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
     # A StringIO is no file: select refuses it, as Windows' refuses the console.
-    terminal, messages = Terminal("" if waits_for_terminals else "a\n"), []
+    assert asked(Terminal(typed), default="continue") == (word, "operator")
+
+
+@pytest.mark.parametrize("waits_for_terminals", [True, False])
+def test_a_terminal_that_was_closed_answers_nothing(request, waits_for_terminals):
+    terminal, messages = Terminal(""), []
     if waits_for_terminals:
         request.getfixturevalue("selected").append(terminal)
-    answer = asked(terminal, default="continue", timeout_s=0.5, say=messages.append)
-    assert answer == ("continue", "time-out")
+    assert asked(terminal, timeout_s=1, say=messages.append) == ("abort", "time-out")
     assert "`starbench tell 'runs/cam 7' yes` (or no)" in messages[-1]
+
+
+def test_what_a_thread_read_before_the_question_does_not_count():
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as lines, os.fdopen(writing, "w", buffering=1) as keyboard:
+        terminal = Typed(lines)
+        keyboard.write("y\n")
+        assert asked(terminal) == ("continue", "operator")
+        keyboard.write("y\n")
+        wait_until(lambda: terminal.read == 2, 30)
+        assert asked(terminal, timeout_s=0.5) == ("abort", "time-out")
 
 
 def test_what_was_typed_before_the_question_does_not_count():

@@ -31,7 +31,7 @@ def test_every_page_counts(tmp_path):
     ("name", "data", "message"),
     [
         ("a.png", png(100_000, 100_000), "100000 x 100000 px; at most"),
-        ("a.png", png(8000, 8000, rows=8000), "64000000 px in 62[0-9]+ bytes; photographs cannot"),
+        ("a.png", png(8000, 8000, rows=8000), "64000000 px in [0-9]+ bytes; photographs cannot"),
         ("a.tif", tiff(3, 16, loop=True), "its list of images does not end"),
         ("a.tif", tiff(9, 60_000), "60000 x 60000 px; at most"),
         ("a.tif", tiff(2000, 4000), "px in [0-9]+ bytes; photographs cannot"),
