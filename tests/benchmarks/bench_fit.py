@@ -1,15 +1,20 @@
 """CPU time of a fit by the joint adjustment, and by OpenCV's planar calibration of the same views.
 
-    python tests/benchmarks/bench_fit.py [--poses 3 9 20] [--seeds 0-3] [--worlds polynomial product S1]
+    python tests/benchmarks/bench_fit.py [--poses 3 9 20] [--seeds 0-3] [--worlds polynomial product S1] [--known cr 0]
+        [--recordings FOLDER]
 
-For each world and number of poses, the median over the seeds and the 95th percentile, s. ``cr``: certificate and bounded readings; a mount
-moved by hand (S1) has neither. OpenCV's ``calibrateCamera`` gets the same stars, and the same two coefficients.
+For each world, what is stated and number of poses, the median over the seeds and the 95th percentile, s. ``cr``: certificate and bounded
+readings, which a mount moved by hand (S1) has not; ``0``: nothing. ``--recordings``: the twenty published views of a real
+collimator, too. OpenCV's ``calibrateCamera`` gets the same stars, and the same two coefficients.
 """
 
 from __future__ import annotations
 
+import argparse
 import time
+from collections.abc import Iterator
 from itertools import product
+from pathlib import Path
 
 import cv2
 import measured
@@ -17,8 +22,9 @@ import numpy as np
 from worlds.bench import GRID, POSES, Bench
 from worlds.catalogue import WORLDS
 from worlds.knowledge import options_for, views_of
+from worlds.recordings import read
 
-from calib.engine import calibrate
+from calib import CalibrationOptions, View, calibrate
 
 
 def drawn(world: str, poses: int, seed: int) -> Bench:
@@ -28,10 +34,8 @@ def drawn(world: str, poses: int, seed: int) -> Bench:
     return bench
 
 
-def seconds(world: str, poses: int, seed: int) -> tuple[float, float]:
+def seconds(views: list[View], options: CalibrationOptions) -> tuple[float, float]:
     """CPU time of the joint adjustment and of OpenCV's calibration."""
-    bench = drawn(world, poses, seed)
-    views, options = views_of(bench), options_for(bench, "0" if world.endswith(("S1", "S2")) else "cr")
     begun = time.process_time()
     calibrate(views, options)
     fitted = time.process_time()
@@ -47,24 +51,35 @@ def seconds(world: str, poses: int, seed: int) -> tuple[float, float]:
     return fitted - begun, time.process_time() - fitted
 
 
+def rows(given: argparse.Namespace) -> Iterator[tuple[str, list[tuple[float, float]]]]:
+    """Give the name of each row, and the seconds of each of its fits."""
+    for world, known, poses in product(given.worlds, given.known, given.poses):
+        if known == "0" or not world.endswith(("S1", "S2")):
+            benches = [drawn(world, poses, seed) for seed in given.seeds]
+            yield (
+                f"{world}, {known}, {poses}",
+                [seconds(views_of(bench), options_for(bench, known)) for bench in benches],
+            )
+    if given.recordings:
+        views = read(given.recordings)
+        yield f"recordings, 0, {len(views)}", [seconds(views, CalibrationOptions()) for _ in given.seeds]
+
+
 def main() -> None:
     parser = measured.options(__doc__)
     parser.add_argument("--poses", nargs="+", type=int, default=[3, 9, 20])
     parser.add_argument("--seeds", type=measured.seeds, default="0-3")
     parser.add_argument("--worlds", nargs="+", default=["polynomial", "product", "S1"], choices=WORLDS)
+    parser.add_argument("--known", nargs="+", default=["cr", "0"], choices=("cr", "0"))
+    parser.add_argument("--recordings", type=Path)
     given = parser.parse_args()
-    seconds("polynomial", 3, 0)  # imports and compiled loops
-    spreads = {
-        f"{world}, {poses}": [
-            measured.spread(part)
-            for part in zip(*(seconds(world, poses, seed) for seed in given.seeds), strict=True)
-        ]
-        for world, poses in product(given.worlds, given.poses)
-    }
-    names = ("world, poses", "joint adjustment", "95 %", "OpenCV, planar", "95 %")
+    bench = drawn("polynomial", 3, 0)
+    seconds(views_of(bench), options_for(bench, "cr"))  # imports and compiled loops
+    names = ("world, stated, poses", "joint adjustment", "95 %", "OpenCV, planar", "95 %")
     print(f"| {' | '.join(names)} |\n|{' --- |' * len(names)}")
-    for name, (joint, planar) in spreads.items():
-        print(f"| {name} | {joint.cells(2)} | {planar.cells(2)} |")
+    for name, times in rows(given):
+        joint, planar = (measured.spread(part) for part in zip(*times, strict=True))
+        print(f"| {name} | {joint.cells(2)} | {planar.cells(2)} |", flush=True)
 
 
 if __name__ == "__main__":

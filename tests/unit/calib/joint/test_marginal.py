@@ -325,7 +325,8 @@ def test_the_certificate_of_another_collimator_is_refused(views, times, known):
 def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothing(certified_mm):
     """An eighth too short: fx was wrong by as much, with U of 5 px and no note. 8 % too long: U was 249 px.
 
-    4 % too short: large errors would explain it, and fx would be 130 px wrong, in silence.
+    4 % too short: large errors would explain it, and fx would be 130 px wrong, in silence. U = 2 u counts the improbable
+    camera of the certificate with its whole distance: 35 px instead of 20.
     """
     bench = drawn_benches.draw_bench("like-bench", drawn_benches.NINE, 2)
     result = calibrate(
@@ -334,7 +335,7 @@ def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothin
     certificate = next(witness for witness in result.witnesses if witness.name == CERTIFICATE)
     assert certificate.fault_probability > 0.9
     assert any("certified one" in note for note in result.notes)
-    assert abs(result.camera.fx - bench.truth.camera.fx) < result.U["fx"] < 20.0
+    assert abs(result.camera.fx - bench.truth.camera.fx) < result.U["fx"] < 40.0
     alone = calibrate(bench.views, CalibrationOptions())
     assert result.rms_px == pytest.approx(alone.rms_px, rel=0.05)
     assert result.left_out_rms_px == pytest.approx(alone.left_out_rms_px, rel=0.05)

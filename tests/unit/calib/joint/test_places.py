@@ -129,7 +129,9 @@ def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera(seeds):
             bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen"))
         )
         expanded = {name: result.coverage_factors[name] * result.sigma[name] for name in ("fx", "cx", "cy")}
-        assert expanded["fx"] < 5.0  # the certificate is right and not doubted
+        assert (
+            expanded["fx"] < 9.0
+        )  # the certificate is right; 2 u counts a doubt of 2 % with its whole distance
         assert max(expanded.values()) < 15.0
         over += [
             abs(getattr(result.camera, name) - getattr(bench.truth.camera, name)) / u
