@@ -92,11 +92,11 @@ class BenchClock:
     def check(self) -> None:
         """Obey a request to stop or to pause between two pieces of work, unless the clock is shielded."""
         self._asked_s = time.monotonic()
-        if self._is_asked and not self._shields:
+        if self._is_requested and not self._shields:
             self._raise_request()
 
     @property
-    def _is_asked(self) -> bool:
+    def _is_requested(self) -> bool:
         return self._stop is not None or self._interruption is not None
 
     def _wait(self, seconds: float) -> bool:
@@ -106,12 +106,12 @@ class BenchClock:
         reentrant.
         """
         deadline_s = time.monotonic() + seconds
-        while not self._is_asked and (left_s := deadline_s - time.monotonic()) > 0:
+        while not self._is_requested and (left_s := deadline_s - time.monotonic()) > 0:
             with suppress(queue.Empty):
                 self._woken.get(timeout=left_s)
-        if self._is_asked:
+        if self._is_requested:
             self._woken.put(None)  # for another thread that waits
-        return self._is_asked
+        return self._is_requested
 
     def in_parallel(self, work: Callable[[], Result]) -> Callable[[], Result]:
         """Begin work that goes on while this clock's worker does other things; return what waits for its result."""

@@ -22,8 +22,8 @@ from bench.base.lost_output import Steering
 from bench.base.pasteable import pasteable
 
 _BAR_WIDTH, _LEAST_BAR = 24, 8  # Columns, and the fewest of a bar
-_ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
-"""States without a remaining time: the rest of the plan is not done."""
+_WITHOUT_TIME_LEFT = frozenset({"aborting", "aborted", "failed", "finished"})
+"""States that show no time left: nothing more of the plan is done."""
 _POLL_S = 0.2  # A line that changes more often flickers
 _YES = {"c", "continue", "y", "yes"}
 _NO = {"a", "abort", "n", "no"}
@@ -88,7 +88,7 @@ class Progress:
         return f"{self._state:<11}  {self._where():<28}  {left:>11}".rstrip()
 
     def _left(self) -> str:
-        return "" if self._state in _ENDING_EARLY else f"{clock_text(self.left_s())} left"
+        return "" if self._state in _WITHOUT_TIME_LEFT else f"{clock_text(self.left_s())} left"
 
     def _line(self) -> Text:
         """Return one line that fits the terminal. On a narrow one the bar is left out, then the end of the text."""

@@ -35,7 +35,7 @@ _VERDICTS = {
     "scale or parallax": "scale error or parallax",
     "views biased": "no fault shown; the views contradict each other",
 }
-"""Heading of each verdict of the hand-eye check that is no kind of a cause."""
+"""Headings of those verdicts of the hand-eye check that name no cause."""
 
 Cell = tuple[str, float]
 """A cell of a matrix: its text and the strength of its shading, 0 to 1."""

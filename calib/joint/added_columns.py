@@ -55,7 +55,7 @@ class AddedColumns:
 
 
 def displaced(optimum: Optimum, basis: Array, eta: Array) -> Optimum:
-    """Return an optimum with (m, B) displacements of the views' bases, all linear.
+    """Return an optimum after linear (m, B) displacements of the views' bases.
 
     Its best amplitudes are searched from (A,) logarithms ``eta``.
     """

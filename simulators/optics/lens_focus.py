@@ -131,7 +131,7 @@ def spread_over_disc(image: NDArray[np.float32], diameter_px: float) -> NDArray[
 
 
 def blurred(image: NDArray[np.float32], diameter_px: float, margin_px: int) -> NDArray[np.float32]:
-    """Return an image spread as by `spread_over_disc`, without a margin of half a diameter or more."""
+    """Return an image blurred over a disc, cropped at each edge by a margin of half the diameter or more."""
     height, width = image.shape
     rows, columns = (int(fft.next_fast_len(n + SEAM_PX, real=True)) for n in image.shape)
     padded = np.empty((rows, columns), np.float32)

@@ -288,7 +288,7 @@ class GrblController(Unit):
             self._output += "[MSG:Caution: Unlocked]\r\n"
 
     def _check(self) -> None:
-        """Begin to check lines without motion; a reset ends this."""
+        """Enter check mode: until a reset, lines are checked and nothing moves."""
         if self._state != "Idle":
             raise GcodeError(8)
         self._state = "Check"

@@ -27,7 +27,7 @@ CSV injection)."""
 def require_ending(path: Path, endings: Sequence[str]) -> None:
     """Refuse a name for a file of some kinds that ends otherwise."""
     if path.suffix.lower() not in endings:
-        what = f"This cannot be written as {path.suffix or 'a file without an ending'}."
+        what = f"The ending {path.suffix} is not supported." if path.suffix else "The name has no ending."
         remedy = f"Choose a name that ends in {' or '.join(endings)}."
         raise UsageError(what, where=str(path), remedy=remedy)
 

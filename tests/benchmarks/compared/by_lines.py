@@ -38,7 +38,7 @@ class SeenEdges:
     """The edges of a sheet in one image."""
 
     name: str
-    ends_mm: Array  # (E, 2, 3) ends of the edges, in the frame of the sheet, whose middle is the origin
+    ends_mm: Array  # (E, 2, 3) ends of the edges, in the frame of the sheet; its origin is in the middle
     edges: tuple[EdgePoints, ...]  # of each edge
 
 

@@ -1,4 +1,4 @@
-"""The digital calibration certificate: what it states of the certificate, its units, and what a signature adds."""
+"""The digital calibration certificate: its statements, its units, and its signature."""
 
 import dataclasses
 import json

@@ -134,8 +134,8 @@ def test_results_that_were_changed_give_nothing_but_a_warning(tmp_path):
 
 def test_a_file_that_cannot_be_written_is_refused_with_what_to_do(tmp_path, monkeypatch):
     for name, what in (
-        ("runs.xlsx", "as .xlsx"),
-        ("runs", "without an ending"),
+        ("runs.xlsx", "ending .xlsx"),
+        ("runs", "no ending"),
     ):
         with pytest.raises(UsageError, match=what):
             write_table(tmp_path / name, [])
