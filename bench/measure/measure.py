@@ -385,7 +385,8 @@ def find_stars(
         try:
             expected = expected_grid((image.shape[1], image.shape[0]))
         except DegenerateViews as unknown:
-            raise StarsUnnamed(unnamed.what, where=unnamed.where, remedy=str(unknown)) from unknown
+            remedy = f"{unnamed.remedy} {unknown}"
+            raise StarsUnnamed(unnamed.what, where=unnamed.where, remedy=remedy) from unknown
         detection = detect_stars(image, target, name=name, expected=expected, picture=picture)
         facts["expected_grid"] = expected.tolist()
     grid = fit_homography(target.node_of(detection.view.ids).astype(float), detection.view.points_px)

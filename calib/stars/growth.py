@@ -25,7 +25,7 @@ from calib.arrays import Array, Array32, Bools, Ints
 from calib.model.homography import apply_homography, fit_affine, fit_homography, linear_at
 from calib.stars.beam import find_beam
 from calib.stars.grid_map import predict_locally
-from calib.stars.period import star_steps
+from calib.stars.period import even_contrast, star_steps
 from calib.stars.tag import TagDetection
 from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, correlations, values_at
 from calib.target import StarTarget
@@ -244,7 +244,7 @@ def find_lattice(image: Array32, segments: int) -> GrowthStart | None:
 
 def _start_by_period(image: Array32, segments: int) -> GrowthStart | None:
     """Return where growth may start if the image repeats itself, although no star's neighbours are candidates."""
-    steps = star_steps(image)
+    steps = star_steps(even_contrast(image))
     if steps is None:
         return None
     template = StarTemplate.of(segments, SEARCH_RADII)

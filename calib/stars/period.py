@@ -16,6 +16,8 @@ from calib.stars.beam import find_beam
 SHORTEST_PX, LONGEST_PX = 14, 100
 #: Standard deviation of the blur that leaves the lamp's slow changes, px.
 SLOW_PX = 20.0
+#: Least standard deviation of an image's contrast that is made even, as a share of the largest: the rest is dark.
+LEAST_SPREAD = 0.1
 #: Least height of both peaks, as a share of the variance. Simulated, it is 0.43 to 0.89 with stars in focus, and up to
 #: 0.28 far out of focus or in fog.
 LEAST = 0.35
@@ -48,6 +50,16 @@ def star_steps(image: Array32) -> Array | None:
         return None
     best = int(np.argmin(np.where(height >= AS_HIGH * height.max(), np.hypot(*steps.T), np.inf)))
     return np.column_stack([steps[best], turned[best]]).astype(float)
+
+
+def even_contrast(image: Array32) -> Array32:
+    """Return an image (H, W) without slow light, over its standard deviation around each pixel.
+
+    Dust and the tag, whose contrast is that of many stars, then hide no period.
+    """
+    flat = _without_slow_light(image)
+    spread = cv2.sqrt(cv2.GaussianBlur(flat * flat, (0, 0), SLOW_PX))
+    return np.asarray(flat / np.maximum(spread, np.float32(LEAST_SPREAD * spread.max() + 1e-6)), np.float32)
 
 
 def _without_slow_light(image: Array32) -> Array32:

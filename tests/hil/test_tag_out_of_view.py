@@ -45,7 +45,7 @@ def test_photographs_without_the_tag_are_named_the_same_way(tmp_path):
     assert np.abs(apply_homography(np.array(named.facts["grid"]), TARGET.node_of(ids)) - points).max() < 5
     unnamed = measure_frames(tmp_path / "p.png", name="p", target=TARGET, expected_grid=no_pose)
     assert unnamed.view is None
-    assert unnamed.fault.endswith("No earlier view")
+    assert unnamed.fault.endswith("more of the tag is in view. No earlier view")
 
 
 def run(folder, home, poses):

@@ -6,6 +6,7 @@ The limits are those by which a run judges its recordings.
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal, NamedTuple
 
@@ -25,7 +26,9 @@ at full level in the dark, 0.77 at a level of 20 %, and 0.76 and 0.67 with light
 _LEAST_LIT_PERCENT: Final = 60.0  # Below it, most of the frame shows no star
 _LEAST_CONTRAST_PERCENT: Final = 30.0  # Below it, no pattern is visible
 
-_DISAGREEING: Final = 3  # Pictures; they come several times a second
+_AGREEING: Final = 15
+"""Pictures, some seconds, that must all agree before a verdict changes: where half of them lie beyond a limit, chance
+alone changes it less than once in an hour."""
 
 Group = Literal["signal", "focus", "turn"]
 
@@ -42,25 +45,25 @@ class FigureRow(NamedTuple):
 
 
 class SteadyVerdicts:
-    """Keeps the verdict on a row until some pictures in a row disagree: one of them may stray over a limit."""
+    """Verdicts that stand while nobody touches anything, though a figure may lie at its limit.
+
+    The first pictures give most of them; then all of as many pictures must disagree.
+    """
 
     def __init__(self) -> None:
-        self._shown: dict[str, bool] = {}
-        self._against: dict[str, int] = {}
+        self._recent: defaultdict[str, deque[bool | None]] = defaultdict(lambda: deque(maxlen=_AGREEING))
+        self._shown: dict[str, bool | None] = {}
 
     def steady(self, rows: Sequence[FigureRow]) -> list[FigureRow]:
         """Return the rows of the next picture with the verdicts to show."""
         return [row._replace(good=self._verdict(row.name, row.good)) for row in rows]
 
     def _verdict(self, name: str, now: bool | None) -> bool | None:
-        shown = self._shown.get(name, now)
-        self._against[name] = self._against.get(name, 0) + 1 if now != shown else 0
-        if now is None or self._against[name] >= _DISAGREEING:
-            self._against[name], shown = 0, now
-        self._shown.pop(name, None)
-        if shown is not None:
-            self._shown[name] = shown
-        return shown
+        recent = self._recent[name]
+        recent.append(now)
+        if len(recent) < _AGREEING or recent.count(now) == _AGREEING:
+            self._shown[name] = Counter(recent).most_common(1)[0][0]
+        return self._shown[name]
 
 
 def figure_rows(figures: LiveFigures, setting: LiveSetting, best_px: float | None = None) -> list[FigureRow]:
@@ -118,12 +121,11 @@ def _sync(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
     """Yield the sync edges, and the flicker by them."""
     signal, gates, wanted_hz = figures.signal, setting.gates, setting.frequency_hz
     missed = signal.triggers_expected - signal.triggers
-    edges = signal.sync_fault or (
-        f"{signal.triggers} of {signal.triggers_expected}" if signal.sync_edges else "none"
-    )
-    there = bool(signal.sync_edges) or not gates.require_triggers
-    come = there and not signal.sync_fault and missed <= gates.limits.get("max_triggers_missed", 1)
-    yield FigureRow("Sync edges", edges, "", "all" if gates.require_triggers else "", come)
+    edges = signal.sync_fault or ("there" if signal.sync_edges else "none")
+    if edges == "there" and missed > gates.limits.get("max_triggers_missed", 1):
+        edges = f"{missed} of {signal.triggers_expected} are missing"
+    needed = "there" if gates.require_triggers else ""
+    yield FigureRow("Sync edges", edges, "", needed, edges == "there" or (edges == "none" and not needed))
     measured_hz = signal.trigger_hz
     row = _ranged("Flicker", measured_hz, 2, "Hz")
     if wanted_hz:

@@ -58,15 +58,18 @@ class SignalFigures:
     sync_fault: str = ""  # What is wrong with the sync edges; empty if nothing is, or there are none
 
 
-def measure_signal(
-    statistics: StreamStatistics, triggers: Triggers, expected_hz: float | None
-) -> SignalFigures:
-    """Measure the signal of a slice; the light is set to ``expected_hz``, None if that is unknown."""
-    count, duration_s = statistics.events, statistics.duration_s
+def measure_signal(counted: CountedSlice, expected_hz: float | None) -> SignalFigures:
+    """Measure the signal of a slice; the light is set to ``expected_hz``, None if that is unknown.
+
+    Events count in whole periods: a few edges of the light more or less would change rate and share by a tenth.
+    """
+    triggers, duration_s = counted.triggers, counted.statistics.duration_s
+    off, on = (int(count) for count in counted.counts.sum(axis=(1, 2), dtype=np.int64))
+    counted_s = counted.periods / expected_hz if counted.periods and expected_hz else duration_s
     edges, fault = _by_triggers(triggers, expected_hz)
     return SignalFigures(
-        events_per_s=count / duration_s if duration_s else None,
-        on_share=statistics.on_events / count if count else None,
+        events_per_s=(off + on) / counted_s if counted_s else None,
+        on_share=on / (off + on) if off + on else None,
         triggers=int(np.count_nonzero(triggers.value == 1)),
         triggers_expected=len(edges.rising_edges_us(0.0, 1e6 * duration_s)) if edges else 0,
         sync_edges=len(triggers.t),
@@ -256,7 +259,7 @@ def show(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 def _read_events(path: Path, expected_hz: float | None) -> LiveImage:
     """Make the image of an event camera's slice from counts: of whole periods if it holds any."""
     counted = count_slice(RawFile.open(path), 1e6 / expected_hz if expected_hz else math.inf)
-    signal = measure_signal(counted.statistics, counted.triggers, expected_hz)
+    signal = measure_signal(counted, expected_hz)
     if counted.periods:
         image = make_quick_image(counted.counts, counted.periods)
         return LiveImage(image.image, True, _LEAST_FIRED, signal, None)

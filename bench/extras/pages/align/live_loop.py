@@ -212,11 +212,12 @@ class LiveLoop:
         return take(path, slice_duration_s(setting, moving=moving))
 
     def _follow_focus(self, figures: LiveFigures, setting: LiveSetting) -> FocusCurve:
-        """Add the edge width of a picture to the curve; light and pose begin the best anew."""
+        """Add the edge width of a picture to the curve; light and pose begin the best and all verdicts anew."""
         curve, lit = self.curve, (setting.light_on, setting.level_percent)
         if figures.moving or lit != self._lit:
             self._lit = lit
             curve.begin_best()
+            self._verdicts = SteadyVerdicts()
         if figures.edge_width_px is not None:
             curve.add(figures.time_s, figures.edge_width_px)
         return curve

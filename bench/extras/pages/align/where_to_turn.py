@@ -76,10 +76,10 @@ class SteadyTurn:
             self._reading_deg = dict(reading_deg)
         self._recent.append(turn)
         of = next(name for name in ("tag", "square", "beam", "") if any(t.of == name for t in self._recent))
-        alike = [t for t in self._recent if t.of == of and t.unit == turn.unit]
+        latest = next(t for t in reversed(self._recent) if t.of == of)
+        alike = [t for t in self._recent if t.of == of and t.unit == latest.unit]
         return replace(
-            turn,
-            of=of if alike else "",
+            latest,
             pan=_median([t.pan for t in alike]),
             tilt=_median([t.tilt for t in alike]),
             roll_deg=_median([t.roll_deg for t in self._recent]),

@@ -39,15 +39,17 @@ def test_a_frame_camera_has_no_rows_of_events():
     assert rows_of(frames, saturation=0.5)["Saturated"].good is False
 
 
-def test_a_single_picture_over_a_limit_changes_no_verdict():
+def test_a_verdict_stands_at_its_limit_and_changes_when_some_pictures_in_a_row_disagree():
     verdicts, row = SteadyVerdicts(), FigureRow("Contrast", "40", "%", "at least 30", good=True)
-    shown = [
-        verdicts.steady([row._replace(good=good)])[0].good
-        for good in (True, False, True, False, False, False)
-    ]
-    assert shown == [True, True, True, True, True, False]
-    assert verdicts.steady([row._replace(good=None)])[0].good is None
-    assert verdicts.steady([row])[0].good
+
+    def shown(*goods):
+        return [verdicts.steady([row._replace(good=good)])[0].good for good in goods]
+
+    assert shown(True, False, False) == [True, True, False]  # of the first pictures, most
+    shown(*12 * (True,))
+    assert set(shown(*40 * (*14 * (False,), True))) == {True}
+    assert shown(*15 * (False,)) == [*14 * (True,), False]
+    assert shown(*15 * (None,))[-1] is None
 
 
 def test_noise_and_a_blurred_tag_change_no_turn():

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,6 +13,7 @@ from calib.stars.growth import search_stars
 from calib.stars.quick import find_stars_quickly
 from calib.stars.template import SEARCH_RADII, StarTemplate, correlations, star_contrasts, values_at
 from simulators.optics.picture import TARGET, project, star_centres, true_rotation
+from simulators.world.truth import CameraTruth
 from tests.support.live_slices import bench, fired, seen
 
 
@@ -44,6 +46,18 @@ def test_a_part_of_the_tag_names_the_stars(truth):
     assert (stars.tag, stars.named_by) == (None, "part of the tag")
     at = project(np.asarray(TARGET.positions_mm(stars.ids)), true_rotation({"tilt": 5.5}, truth), truth)
     assert np.abs(stars.points_px - at).max() < 0.7
+
+
+def test_stars_are_found_between_large_dust_on_a_small_sensor():
+    camera = CameraTruth(width=640, height=360, fx=1672, fy=1672, cx=320, cy=180)
+    image = fired(seen(bench(camera=camera), tilt=-3.0))
+    drops = np.random.default_rng(2)
+    for _ in range(40):
+        at = int(drops.uniform(0, 640)), int(drops.uniform(0, 360))
+        cv2.circle(image, at, int(drops.uniform(4, 14)), 0.0, -1)
+    stars = find_stars_quickly(image, TARGET)
+    assert stars.named_by == "part of the tag"
+    assert len(stars.ids) > 150
 
 
 @pytest.mark.parametrize("image", [np.zeros((720, 1280)), np.ones((720, 1280), np.uint8)])
