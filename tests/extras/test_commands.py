@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 import pytest
-from calling import ended
 from command_words import CORE, NOBODY, check_help, check_words, commands, examples
 
 from bench.commands.cli import cli
@@ -12,21 +11,6 @@ from bench.commands.cli import cli
 ROOT = Path(__file__).parents[2]
 BROUGHT = dict(commands(name for name in cli.list_commands(NOBODY) if name not in CORE))
 COMMANDS = {**dict(commands(CORE)), **BROUGHT}
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path, monkeypatch):
-    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture
-def say(capsys):
-    def called(*words):
-        status, captured = ended(capsys, *words)
-        return status, captured.out, captured.err
-
-    return called
 
 
 @pytest.mark.parametrize("words", sorted(BROUGHT))
@@ -62,10 +46,7 @@ def test_a_call_in_the_documents_uses_existing_arguments_and_options(line):
 @pytest.mark.parametrize("number", ["nan", "inf", "-1", "much"])
 @pytest.mark.parametrize(
     "words",
-    [
-        ("undistort", ".", "-o", "new.json", "--keep"),
-        ("align", "-s", "simulated", "--port"),
-    ],
+    [("undistort", ".", "-o", "new.json", "--keep"), ("align", "-s", "simulated", "--port")],
     ids=lambda words: " ".join((words[0], words[-1])),
 )
 def test_an_impossible_number_is_an_invalid_argument(say, tmp_path, words, number):

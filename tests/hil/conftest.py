@@ -2,6 +2,8 @@
 
 import pytest
 from align_browser import running_chromium
+from running import starbench
+from shared_folder import shared_folder
 
 from tests.hil.direct_stages import VirtualClock
 
@@ -15,6 +17,20 @@ def chromium():
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="session")
+def three_pose(tmp_path_factory):
+    """Folder of the shipped run of three poses: `run`, its `home`, and what the command said: `stdout`, `stderr`."""
+
+    def make(folder):
+        words = ("run", "three_pose", "-s", "simulated", "--seed", 7, "-o", folder / "run", "--json")
+        ended = starbench(*words, home=folder / "home")
+        assert ended.returncode == 0, ended.stderr
+        for stream in ("stdout", "stderr"):
+            (folder / stream).write_text(getattr(ended, stream))
+
+    return shared_folder(tmp_path_factory, "three-pose", make)
 
 
 @pytest.fixture

@@ -81,18 +81,6 @@ def test_a_text_that_is_no_serial_number_is_one_clear_error_and_nothing_is_writt
     assert not Path("out").exists()
 
 
-def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording):
-    write("text.raw", "this is no recording")
-    whole = evk4_recording.read_bytes()
-    Path("half.raw").write_bytes(whole[:-100_001])  # words have two bytes
-    cut = "cut in the middle of a word, and used up to there: half.raw."
-    for name, words, status in (("text.raw", "not a", 2), ("half.raw", cut, 1)):
-        end, (_, message) = ended(capsys, "calibrate", name)
-        assert end == status
-        assert name in message
-        assert words in message.lower()
-
-
 def test_a_changed_sequence_is_not_resumed(capsys):
     station = write("station.yaml", PLAIN.replace("serial: SG0042", "serial: SG9999"))
     assert ended(capsys, "run", "three_pose", "--station", station, "--output", "out")[0] == 1

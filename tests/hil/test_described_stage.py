@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.described.description import Exchange, parse_template
-from drivers.errors import (
-    DeviceRefused,
-    NotHomed,
-    OutsideLimits,
-    ReplyGarbled,
-    ReplyTimeout,
-)
+from drivers.errors import DeviceRefused, NotHomed, OutsideLimits, ReplyGarbled, ReplyTimeout
 from drivers.light import LightSettings
 from drivers.light.text import TextLight
 from drivers.stage import AxisLimits
@@ -50,7 +44,7 @@ def test_opening_asks_and_a_homing_sets_and_only_a_homing_sends_what_moves(rig) 
     rig.line.sent.clear()
     stage.home()
     assert words_of(rig) == {
-        *("VS", "PD", "PP", "PR", "PN", "PX", "H", "CI", "I", "RP", "PNU", "PXU", "PA", "PS", "LU"),
+        *("VS", "PD", "PP", "PR", "PN", "PX", "H", "CI", "I", "RP", "PNU", "PXU", "PA", "PS", "LU")
     }
     assert not any(data.startswith(b"PP") and data != b"PP " for data in rig.line.sent)
 

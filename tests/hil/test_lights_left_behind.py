@@ -48,10 +48,7 @@ class Rig:
 @pytest.mark.parametrize(("kind", "left"), LEFT)
 @pytest.mark.parametrize(
     ("asked", "expected"),
-    [
-        (FLICKER, {"sync": True, "low_v": 0.0, "frequency_hz": 50.0, "high_v": 3.0}),
-        (STEADY, {"low_v": 3.0}),
-    ],
+    [(FLICKER, {"sync": True, "low_v": 0.0, "frequency_hz": 50.0, "high_v": 3.0}), (STEADY, {"low_v": 3.0})],
     ids=["flicker", "steady"],
 )
 def test_a_light_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, left, asked, expected) -> None:
@@ -69,7 +66,7 @@ def test_a_light_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, le
 
 
 def test_what_a_light_cannot_have_left_behind_is_refused_with_what_it_can() -> None:
-    with pytest.raises(ConfigError, match=r"'AM' cannot be left behind.*CHDR-LONG"):
+    with pytest.raises(ConfigError, match=r"'AM' .*CHDR-LONG"):
         Rig("siglent", "AM")
 
 
@@ -153,7 +150,8 @@ def test_events_that_come_unasked_are_faults_and_no_answers() -> None:
     rig = Rig("gardasoft", "events")
     rig.device.trip()
     assert not rig.light.is_on()
-    assert rig.light.faults() == ["the controller reports event Evt1,130; (see section 13.5 of its manual)"]
+    (fault,) = rig.light.faults()
+    assert "Evt1,130;" in fault
     assert rig.light.apply(FLICKER).frequency_hz == pytest.approx(50.0)
 
 

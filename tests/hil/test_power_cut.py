@@ -67,10 +67,7 @@ def wait_until_stopped(pid):
 def write_until_cut(disk, path, *, frozen, after_s):
     """Let a process write poses, cut the power, and return the number of the last one acknowledged."""
     with subprocess.Popen(
-        [sys.executable, "-c", WRITER, path],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
+        [sys.executable, "-c", WRITER, path], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as writer:
         assert writer.stdout.readline() == "ready\n"
         time.sleep(after_s)

@@ -200,27 +200,13 @@ def test_threads_take_turns_on_one_line(plug, port) -> None:
     assert wrong == []
 
 
-class PtyPort(serial.Serial):
-    """A pseudo-terminal has no modem lines that a server could set or look at."""
-
-    def _update_rts_state(self) -> None:
-        """Nothing to set."""
-
-    def _update_dtr_state(self) -> None:
-        """Nothing to set."""
-
-    cts = dsr = ri = cd = False
-
-
 class DeviceServer:
     """A serial device server as RFC 2217 has it, before a plug that returns what is sent to it, or another port."""
 
-    def __init__(self, behind: str = "") -> None:
+    def __init__(self) -> None:
         self.listening = socket.create_server(("127.0.0.1", 0))
         self.address = f"rfc2217://127.0.0.1:{self.listening.getsockname()[1]}"
-        self.device = (
-            PtyPort(behind, timeout=0.05) if behind else serial.serial_for_url("loop://", timeout=0.05)
-        )
+        self.device = serial.serial_for_url("loop://", timeout=0.05)
         self.client = None
         self.thread = threading.Thread(target=self.serve, daemon=True)
         self.thread.start()
@@ -241,7 +227,7 @@ class DeviceServer:
                 self.device.write(b"".join(manager.filter(data)))
                 if waiting := self.device.in_waiting:
                     self.client.sendall(b"".join(manager.escape(self.device.read(waiting))))
-        except OSError:  # the device behind is gone, or we hung up
+        except OSError:  # we hung up
             self.client.close()
 
     def write(self, data: bytes) -> None:
@@ -272,8 +258,8 @@ def serve() -> Iterator[Callable[..., tuple[DeviceServer, SerialPort]]]:
     """A server, and a port to the device behind it."""
     with ExitStack() as stack:
 
-        def serving(behind: str = "") -> tuple[DeviceServer, SerialPort]:
-            server = DeviceServer(behind)
+        def serving() -> tuple[DeviceServer, SerialPort]:
+            server = DeviceServer()
             stack.callback(server.close)
             port = SerialPort(server.address, baudrate=19200)
             stack.callback(port.close)
@@ -300,13 +286,3 @@ def test_a_device_server_that_hangs_up_is_a_lost_port(serve, act) -> None:
     server.hang_up()
     with pytest.raises(PortLost):
         act(port)
-
-
-@of_pyserial
-def test_a_device_pulled_out_behind_its_server_is_a_lost_port(plug, serve) -> None:
-    _, port = serve(str(plug.link))
-    port.write(b"to the device\n")
-    assert os.read(plug.ours, 100) == b"to the device\n"
-    plug.unplug()
-    with pytest.raises(PortLost):
-        read_on(port)

@@ -44,12 +44,7 @@ def rig(request) -> DirectStage:
 
 @pytest.mark.parametrize(
     "left",
-    [
-        None,
-        {"offset_deg": -7.5},
-        {"direction": 1, "switch": 4},
-        {"speed_deg_s": 0.0},
-    ],
+    [None, {"offset_deg": -7.5}, {"direction": 1, "switch": 4}, {"speed_deg_s": 0.0}],
     ids=["power-up", "negative", "forward", "stands"],
 )
 @pytest.mark.parametrize("when", ["before opening", "before homing"])
@@ -200,7 +195,7 @@ def test_what_a_controller_says_against_a_move_is_the_cause_that_is_told(rig, an
     assert rig.stage.faults() == []
 
 
-@pytest.mark.parametrize("bits", [0x1001_2000, 0x1011_2000, 0x1000, 0x2000_2000])
+@pytest.mark.parametrize("bits", [0x1011_2000, 0x2000_1000])
 def test_status_bits_of_healthy_controllers_are_no_faults(rig, bits) -> None:
     """As published: power, interlock and digital inputs, tracking, settled, and bits that nobody explains."""
     rig.controller.inputs = bits

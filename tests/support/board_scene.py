@@ -30,14 +30,7 @@ from simulators.optics.drawing import (
     spread_kernel,
 )
 from simulators.optics.lens import ray_grid
-from simulators.optics.lens_focus import (
-    SHARP_PX,
-    blurred,
-    brightness,
-    camera_of,
-    reach_px,
-    signed_blur_px,
-)
+from simulators.optics.lens_focus import SHARP_PX, blurred, brightness, camera_of, reach_px, signed_blur_px
 from simulators.world.truth import CollimatorTruth, Truth
 
 FloatArray = NDArray[np.float64]

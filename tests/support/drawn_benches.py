@@ -149,11 +149,7 @@ def draw_bench(
 
 
 def draw_repeats(
-    profile: str | CollimatorTruth,
-    poses: Sequence[Mapping[str, float]],
-    seed: int,
-    times: int,
-    **drawn: Any,
+    profile: str | CollimatorTruth, poses: Sequence[Mapping[str, float]], seed: int, times: int, **drawn: Any
 ) -> DrawnBench:
     """Draw a bench that records each pose several times, one round after the other.
 

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from bench.solve.exports import camera_info
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map, log_map
+from calib.target import StarTarget
 from calib.view import View
 
 SIZES = (1280, 720), (1920, 1200)
@@ -50,3 +52,29 @@ class Drawn:
         return np.concatenate(
             [log_map(rig.rotation @ self.rotation.T), rig.translation_mm - self.translation]
         )
+
+    def write_boards(self, folder):
+        """Write each camera's point files of the boards into `left` and `right`, and its intrinsics beside them."""
+        for name, views, camera in zip(("left", "right"), self.views, self.cameras, strict=True):
+            (folder / name).mkdir()
+            for view in views:
+                rows = np.column_stack([view.points_px + 0.5, view.target_mm, view.ids])
+                np.savetxt(folder / name / f"{view.name}.csv", rows, delimiter=",")
+            (folder / f"{name}.yaml").write_bytes(camera_info(camera, name, camera.matrix))
+
+    def write_stars(self, *folders):
+        """Write what each camera sees behind a collimator, in four poses with noise: every third star of the target."""
+        rng, target = np.random.default_rng(4), StarTarget()
+        plane = target.positions_mm(target.ids) - target.tag_centre_mm
+        disc = (np.linalg.norm(plane, axis=1) < 255.0 * np.tan(np.deg2rad(12.0))) & (target.ids % 3 == 0)
+        rays = np.column_stack([plane, np.full(len(plane), 255.0)])[disc]
+        poses = [(5.0, 2.0, 0.0), (-4.0, 5.0, 30.0), (0.5, -6.0, -80.0), (6.0, -3.0, 160.0)]
+        turns = np.eye(3), self.rotation
+        for folder, camera, turn in zip(folders, self.cameras, turns, strict=False):
+            folder.mkdir()
+            for at, (pan, tilt, roll) in enumerate(poses):
+                held = exp_map(np.deg2rad([tilt, pan, 0.0])) @ exp_map(np.deg2rad([0.0, 0.0, roll]))
+                seen = camera.project(rays @ (turn @ held).T) + 0.05 * rng.standard_normal((len(rays), 2))
+                inside = ((seen > 3) & (seen < np.array(camera.image_size) - 4)).all(axis=1)
+                rows = np.column_stack([seen + 0.5, target.positions_mm(target.ids)[disc], target.ids[disc]])
+                np.savetxt(folder / f"pose-{at}.csv", rows[inside], delimiter=",")

@@ -27,15 +27,11 @@ from bench.evidence.keys import ensure_key, key_to_seal, load_key, require_usabl
 from bench.evidence.signers import NAMESPACE, SIGNERS_FILE, read_signers, trust
 from bench.evidence.states import standing_of
 from bench.evidence.verify import verify_folder
-from bench.solve.exports import camera_info
 from bench.solve.passports import sealed_bytes
 from bench.work.workers import Serial
 from calib.model.passport import Passport
-from calib.model.rotation import exp_map
-from calib.target import StarTarget
 
 SIZE = (640, 480)
-POSES_DEG = [(5.0, 2.0, 0.0), (-4.0, 5.0, 30.0), (0.5, -6.0, -80.0), (6.0, -3.0, 160.0)]
 
 
 class Command:
@@ -199,25 +195,10 @@ def write_inputs(folder):
     events = some_events(3000)
     np.savez(folder / "a.npz", **{name: events[name] for name in "txyp"}, size=np.array([1280, 720]))
     rig = Drawn(2, boards=10, sizes=(SIZE, SIZE))
-    rng, target = np.random.default_rng(4), StarTarget()
-    plane = target.positions_mm(target.ids) - target.tag_centre_mm
-    disc = (np.linalg.norm(plane, axis=1) < 255.0 * np.tan(np.deg2rad(12.0))) & (target.ids % 3 == 0)
-    rays = np.column_stack([plane, np.full(len(plane), 255.0)])[disc]
-    for name, views, camera in zip(("left", "right"), rig.views, rig.cameras, strict=True):
-        (folder / name).mkdir()
-        for view in views:
-            rows = np.column_stack([view.points_px + 0.5, view.target_mm, view.ids])
-            np.savetxt(folder / name / f"{view.name}.csv", rows, delimiter=",")
-        (folder / f"{name}.yaml").write_bytes(camera_info(camera, name, camera.matrix))
+    rig.write_boards(folder)
+    rig.write_stars(folder / "stars")
     (folder / "queue.yaml").write_text(QUEUE)
     (folder / "draft.json").write_bytes(sealed_bytes(Passport.of_radius(255.0, 0.05)))
-    (folder / "stars").mkdir()
-    for at, (pan, tilt, roll) in enumerate(POSES_DEG):
-        held = exp_map(np.deg2rad([tilt, pan, 0.0])) @ exp_map(np.deg2rad([0.0, 0.0, roll]))
-        seen = rig.cameras[0].project(rays @ held.T) + 0.05 * rng.standard_normal((len(rays), 2))
-        inside = ((seen > 3) & (seen < np.array(SIZE) - 4)).all(axis=1)
-        rows = np.column_stack([seen + 0.5, target.positions_mm(target.ids)[disc], target.ids[disc]])[inside]
-        np.savetxt(folder / "stars" / f"{at}.csv", rows, delimiter=",")
 
 
 def once(module, name):

@@ -11,15 +11,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from hostile_files import (
-    CAMERAS,
-    PASSPORTS,
-    PICTURES,
-    POINTS,
-    RAW,
-    WRONG,
-    YAML,
-)
+from hostile_files import CAMERAS, PASSPORTS, PICTURES, POINTS, RAW, WRONG, YAML
 from station_texts import PLAIN
 
 _EXTRAS = {"align", "convert", "certificate", "check", "rig", "undistort"}
@@ -57,7 +49,7 @@ def _copy_run(run, to):
             path.chmod(0o700 if path.is_dir() else 0o600)
 
 
-BOARD_OF_POINTS = ("--board", "checkerboard:5x4:10mm", "--image-size", "1280x720")
+_RIG = "rig points.csv second/points.csv --board checkerboard:5x4:10mm --image-size 1280x720 --calibration {} {} -o out"
 READERS = {
     "plan-sequence": (("plan", "{}", "--station", "simulated"), "bad.yaml"),
     "run-sequence": (("run", "{}", "--station", "simulated", "--output", "out"), "bad.yaml"),
@@ -79,20 +71,7 @@ READERS = {
     "certificate-show": (("certificate", "show", "{}"), "bad"),
     "certificate-config": (("certificate", "issue", "RUN", "--config", "{}", "--output", "out"), "bad.yaml"),
     "check": (("check", "points.csv", "--calibration", "{}"), "bad.yaml"),
-    "rig": (
-        (
-            "rig",
-            "points.csv",
-            "second/points.csv",
-            *BOARD_OF_POINTS,
-            "--calibration",
-            "{}",
-            "{}",
-            "-o",
-            "out",
-        ),
-        "bad.json",
-    ),
+    "rig": (_RIG.split(), "bad.json"),
     "undistort": (("undistort", "{}", "--output", "out"), "bad.yaml"),
     "undistort-preview": (("undistort", "camera.json", "-o", "out", "--preview", "{}"), "bad.png"),
     "folder-verify": (("verify", "{}"), "bad"),
@@ -190,10 +169,7 @@ STATION_VALUES = {
     "serial": ("serial: 100101", 'serial: "\\u001b[2J"'),
     "limits-crossed": ("simulation: {}", "simulation: {}\nlimits: [{result: fx, lower: 2, upper: 1}]"),
     "limit-nan": ("simulation: {}", "simulation: {}\nlimits: [{result: fx, lower: .nan}]"),
-    "many-limits": (
-        "simulation: {}",
-        "simulation: {}\nlimits: [" + "{result: fx, upper: 1}, " * 200 + "]",
-    ),
+    "many-limits": ("simulation: {}", "simulation: {}\nlimits: [" + "{result: fx, upper: 1}, " * 200 + "]"),
     "standard": ("simulation: {}", "simulation: {}\ncheck_standard: {serial: [5]}"),
     "passport-device": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: /dev/zero"),
     "passport-fifo": ("nominal_r_mm: 255", "nominal_r_mm: 255, passport: pipe"),

@@ -230,48 +230,18 @@ GEOMETRY = {
     "K": [1800.0, 0, 640, 0, 1800, 360, 0, 0, 1],
     "D": [0, 0, 0, 0, 0],
 }
-_CAMERA = {
-    "camera_model": "pinhole",
-    "intrinsics": [1800.0, 1800, 640, 360],
-    "distortion_model": "radtan",
-    "distortion_coeffs": [0, 0, 0, 0],
-    "resolution": [1280, 720],
-}
-_VALUES = {"fx": 1800.0, "fy": 1800.0, "cx": 640.0, "cy": 360.0, "k1": 0.0}
-
-
-def _results(**changes):
-    names = list(_VALUES)
-    held = {"camera": _VALUES, "image_size": [1280, 720], "sigma": dict.fromkeys(names, 1.0)}
-    return json.dumps({"calibration": {**held, "covariance": {"names": names, "matrix": []}, **changes}})
 
 
 CAMERAS = {
     "fisheye": json.dumps({**GEOMETRY, "type": "kannala-brandt"}),
-    "short-k": json.dumps({**GEOMETRY, "K": [1, 2, 3]}),
-    "text-k": json.dumps({**GEOMETRY, "K": ["a"] * 9}),
     "nan-k": json.dumps(GEOMETRY).replace("1800.0", "NaN"),
     "infinite-k": json.dumps(GEOMETRY).replace("1800.0", "1e999"),
-    "null-d": json.dumps({**GEOMETRY, "D": None}),
-    "tiny-focal": json.dumps({**GEOMETRY, "K": [1e-300, 0, 640, 0, 1e-300, 360, 0, 0, 1]}),
     "huge-lens": json.dumps({**GEOMETRY, "D": [1e300] * 5}),
     "many-pixels": json.dumps({**GEOMETRY, "width": 10**9, "height": 10**9}),
     "infinite-size": json.dumps(GEOMETRY).replace("1280", "1e999"),
-    "extrinsics": json.dumps({"T_slave_master": [{"camera": "b", "rvec": [0, 0, 0], "tvec": [1, 0, 0]}]}),
-    "two-cameras": json.dumps({"cam0": _CAMERA, "cam1": _CAMERA}).replace("{", "{ ", 1),
-    "chain-of-text": "cam0: text\n",
-    "other-lens": json.dumps({"cam0": {**_CAMERA, "distortion_model": "fov"}}),
-    "list-lens": json.dumps({"cam0": {**_CAMERA, "distortion_model": [1]}}),
-    "ros-no-data": "distortion_model: plumb_bob\ncamera_matrix: 5\ndistortion_coefficients: 5\n",
-    "opencv-empty": "%YAML:1.0\n---\n",
     "opencv-torn": "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [1",
     "opencv-claims": "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 1000000000\n   cols: 3\n   dt: d\n"
     "   data: [ 1. ]\n",
     "opencv-not-utf-8": b"%YAML:1.0\n---\ncamera_matrix: \xff\xfe\n",
     "results-null": '{"calibration": null}',
-    "results-no-matrix": _results(),
-    "results-text-value": _results(camera={**_VALUES, "fx": "long"}),
-    "results-infinite-variance": _results(
-        covariance={"names": list(_VALUES), "matrix": (1e308 * np.eye(5)).tolist()}
-    ),
 }

@@ -21,11 +21,7 @@ TRUE, COLLIMATOR = STORED["truth"]["camera"], STORED["truth"]["collimator"]
 SIGMA = STORED["calibration"]["sigma"]
 SMALL = (320, 180)
 CENTRE_MM = [96.0, 142.0, -255.0]
-TURNS = {
-    "first": (0.0, 0.0, 0.0),
-    "second & third": (0.03, -0.07, 0.02),
-    "roll <b>$x$": (-0.05, 0.04, -0.06),
-}
+TURNS = {"first": (0.0, 0.0, 0.0), "second & third": (0.03, -0.07, 0.02), "roll <b>$x$": (-0.05, 0.04, -0.06)}
 """Name of each pose, and the camera's rotation vector."""
 BORESIGHT = Boresight(
     exp_map(np.radians([0.5, -1.25, 3.0])),

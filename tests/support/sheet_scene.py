@@ -15,14 +15,7 @@ import numpy as np
 from board_scene import NO_ABERRATIONS
 from numpy.typing import NDArray
 
-from simulators.optics.drawing import (
-    Cells,
-    Projection,
-    draw,
-    empty_picture,
-    join_cells,
-    spread_kernel,
-)
+from simulators.optics.drawing import Cells, Projection, draw, empty_picture, join_cells, spread_kernel
 from simulators.optics.lens import ray_grid
 from simulators.optics.lens_focus import camera_of
 from simulators.world.truth import Truth

@@ -19,7 +19,15 @@ from tests.unit.bench.commands import test_evidence_commands as of_keys
 from tests.unit.bench.commands.test_evidence_commands import call
 
 pytestmark = needs_ssh_keygen
-ada, home = of_keys.ada, of_keys.home
+home = of_keys.home
+
+
+@pytest.fixture
+def ada(home, tmp_path):
+    """The path of a key that the bench trusts for authorisations."""
+    path = make_key(tmp_path)
+    call("keys", "trust", f"{path}.pub", "--person", "ada@lab.example")
+    return path
 
 
 @pytest.fixture
@@ -123,24 +131,11 @@ def test_another_authorisation_than_that_of_the_ledger_is_told(authorised, home,
     assert what in with_a_fault("verify", run)
 
 
-def test_a_computer_without_a_ledger_says_that_nothing_was_entered(run, home, ada):
-    done = CliRunner().invoke(cli, ["certificate", "authorise", str(run), "--key", str(ada), "--yes"])
-    assert "Not entered in a ledger" in done.output
-    assert not (home / "ledger.jsonl").exists()
-
-
 def test_a_script_authorises_with_json(run, ada):
     call("certificate", "authorise", run, "--key", ada, "--json", fails="--json cannot ask")
     shown = json.loads(call("certificate", "authorise", run, "--key", ada, "--json", "--yes"))
     assert (shown["state"], shown["person"]) == ("AUTHORISED", "ada@lab.example")
     assert shown["facts"]["Devices"] == "SIMULATED"
-
-
-def test_a_folder_with_a_fault_is_not_authorised(run, ada):
-    (run / "results.json").chmod(0o644)
-    (run / "results.json").write_text("{}")
-    call("certificate", "authorise", run, "--key", ada, "--yes", fails="the file was changed after sealing")
-    assert not (run / "SHA256SUMS.authorised.sig").exists()
 
 
 def test_a_draft_and_no_agent_are_told(home, make_run, tmp_path):
@@ -157,7 +152,7 @@ def test_a_time_stamp_without_a_network(run, home, tmp_path):
     tsa = Authority.create(tmp_path / "tsa")
     stamp = ("certificate", "timestamp", run)
     call(*stamp, fails="Give one of --tsa, --token and --request")
-    assert "Request for a time stamp of SHA256SUMS.sig" in call(*stamp, "--request", tmp_path / "q.tsq")
+    assert "SHA256SUMS.sig" in call(*stamp, "--request", tmp_path / "q.tsq")
     (tmp_path / "reply.tsr").write_bytes(tsa.reply((tmp_path / "q.tsq").read_bytes()))
     (tmp_path / "token").write_bytes(tsa.reply((tmp_path / "q.tsq").read_bytes(), "-token_out"))
     call(
@@ -173,7 +168,7 @@ def test_a_time_stamp_without_a_network(run, home, tmp_path):
     shutil.copy(tsa.root, home / "tsa_laboratory.pem")
     output = call(*stamp, "--token", tmp_path / "token")
     assert output.startswith("SHA256SUMS.tsr: SHA256SUMS.sig existed at ")
-    assert "by the laboratory's clock (Example TSA)" in output
+    assert "laboratory's clock (Example TSA)" in output
     assert tsa.accepts(run, "SHA256SUMS.tsr", "SHA256SUMS.sig")
     assert stat.S_IMODE(run.stat().st_mode) == 0o555
     call(*stamp, "--token", tmp_path / "token", fails="never replaced")
@@ -185,15 +180,3 @@ def other_request(tmp_path):
     from bench.evidence.tsa_client import make_request
 
     return make_request(b"another file", nonce=False).data
-
-
-def test_an_address_with_a_password_is_refused_first(run, home):
-    output = call(
-        "certificate",
-        "timestamp",
-        run,
-        "--tsa",
-        "https://ada:secret@tsa.example",
-        fails="must not contain a user or a password",
-    )
-    assert "secret" not in output

@@ -58,31 +58,25 @@ def failed(lab):
 
 
 def test_a_pass_over_a_sealed_fail_is_refused_and_takes_no_number(failed):
-    with pytest.raises(EvidenceError, match=r"FAIL: fx .* lab.yaml fx, k2"):
+    with pytest.raises(EvidenceError, match=r"FAIL: fx .* fx, k2"):
         failed.issue()
     assert failed.numbers() == {}
 
 
 def test_a_pass_over_a_sealed_fail_with_a_reason_says_so_itself(failed):
-    made = failed.issue(despite="the customer waived the drawing").certificate
-    assert made.statement("limits") == (
-        "The sealed run says FAIL: 0 of 1 limits kept. The laboratory states limits of its own beside them, for this"
-        " reason:"
-    )
-    assert made.statement("limits_reason") == "the customer waived the drawing"
+    made = failed.issue(despite="waived").certificate
+    assert "FAIL: 0 of 1 limits kept." in made.statement("limits")
+    assert made.statement("limits_reason") == "waived"
     assert [
         (statement.lower, statement.upper, statement.verdict)
         for statement in made.conformity
         if statement.symbol == "fx"
-    ] == [
-        (3300.0, 3400.0, "pass"),
-        (None, 3300.0, "fail"),
-    ]
+    ] == [(3300.0, 3400.0, "pass"), (None, 3300.0, "fail")]
     failed.lab.write_text(failed.lab.read_text().replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
     again = amend(
         failed.path / "certificate", failed.lab, failed.path / "again", failed.laboratory(), reason="address"
     )
-    assert again.certificate.statement("limits_reason") == "the customer waived the drawing"
+    assert again.certificate.statement("limits_reason") == "waived"
     failed.lab.write_text(LAB, encoding="utf-8")
 
 
@@ -106,7 +100,7 @@ def test_the_verifier_asks_for_the_statement_and_for_a_date_after_the_run(failed
         whole,
         statements=tuple(statement for statement in whole.statements if statement.id != "limits_reason"),
     )
-    assert "pass over a FAIL of the run" in faults(silent)
+    assert "over a FAIL" in faults(silent)
     early = dataclasses.replace(whole, issued_utc="2025-11-21T08:30:00Z")
     assert "before its calibration ended" in faults(early)
 
@@ -114,7 +108,7 @@ def test_the_verifier_asks_for_the_statement_and_for_a_date_after_the_run(failed
 def test_a_certificate_is_not_issued_in_the_second_before_its_run_ended(lab):
     ended = datetime.fromisoformat(sample_results()["run"]["finished_utc"])
     lab.now = ended - timedelta(seconds=2)
-    with pytest.raises(EvidenceError, match="but the calibration ended on"):
+    with pytest.raises(EvidenceError, match="ended on"):
         reserve(
             Ledger(lab.path / "elsewhere", utc_now=lambda: lab.now, monotonic=lambda: 0.0),
             Wanted("SB-{number}", False, "ab", "run", "folder", ended_utc=utc_seconds(ended.isoformat())),

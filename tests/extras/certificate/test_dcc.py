@@ -118,18 +118,6 @@ def test_the_ellipsoid_of_a_posterior_is_as_much_wider_than_a_normal_one_as_its_
     assert float(texts(root, f"{region}coverageFactor")[0]) == pytest.approx(normal * k / 2, rel=1e-4)
 
 
-def test_results_of_hundreds_of_pixels_are_compared_with_the_covariance():
-    full, scale = certificate_sample.full_certificate(), 66.0
-    fx = dataclasses.replace(full.results[0], printed_value="3350", printed_uncertainty="130", U=130.0)
-    matrix = [list(row) for row in full.covariance.matrix]
-    for at in range(len(matrix)):
-        matrix[0][at] *= scale
-        matrix[at][0] *= scale
-    covariance = dataclasses.replace(full.covariance, matrix=tuple(map(tuple, matrix)))
-    parts = {"results": (fx, *full.results[1:]), "covariance": covariance, "conformity": (), "budgets": ()}
-    assert check_dcc(render_dcc(dataclasses.replace(full, **parts))) == []
-
-
 @pytest.mark.parametrize(
     ("n", "nu", "expected"), [(1, None, 2.0), (6, None, 3.585), (1, 12.48, 2.2214), (6, 12.48, 4.276)]
 )

@@ -121,7 +121,7 @@ def remarks(schematron, data):
 @pytest.mark.parametrize("name", DCCS)
 def test_the_rules_of_dcclib_find_the_version_only(name, schematron):
     (remark,) = remarks(schematron, DCCS[name]())
-    assert remark.startswith("Schema version outdated: You are using schema version '3.2.1'.")
+    assert remark.startswith("Schema version outdated: ")
 
 
 def test_units_are_known_to_dsiunits():

@@ -88,17 +88,14 @@ def test_a_second_certificate_of_a_run_needs_a_reason_and_a_first_one(bench):
     with pytest.raises(EvidenceError, match="--reason"):
         bench.reserve("a", also="x")
     first = bench.issue("a")
-    with pytest.raises(
-        EvidenceError,
-        match=f"has a certificate already: {first} of 2026-11-21.*amend.*issue .* --config .* --reason",
-    ):
+    with pytest.raises(EvidenceError, match=f"{first} of 2026-11-21.*amend.*issue .* --reason"):
         bench.reserve("a")
-    assert bench.issue("a", also="a copy for the other owner") == "SB-2026-00002"
+    assert bench.issue("a", also="a copy") == "SB-2026-00002"
 
 
 def test_a_number_left_open_stops_other_runs_until_it_is_void(bench):
     left = bench.reserve("a").number
-    with pytest.raises(EvidenceError, match=f"{left} was reserved.*not issued.*certificate void {left}"):
+    with pytest.raises(EvidenceError, match=f"{left} .*certificate void {left}"):
         bench.reserve("b")
     declare_void(bench.ledger, left, reason="the disk broke", by="Ada")
     issued = bench.issue("b")

@@ -241,7 +241,7 @@ def test_a_bag_that_was_not_closed_or_lacks_a_file_is_told_with_the_way_on(tmp_p
         path.write_bytes(path.read_bytes()[:-500])
     else:
         next(path.glob("*.db3")).unlink()
-    with pytest.raises(NotARecording, match=f"has no index, or lacks a file.* {program} reindex {path.name}"):
+    with pytest.raises(NotARecording, match=f" {program} reindex {path.name}"):
         import_events(path)
 
 

@@ -133,10 +133,7 @@ def test_results_that_were_changed_give_nothing_but_a_warning(tmp_path):
 
 
 def test_a_file_that_cannot_be_written_is_refused_with_what_to_do(tmp_path, monkeypatch):
-    for name, what in (
-        ("runs.xlsx", "ending .xlsx"),
-        ("runs", "no ending"),
-    ):
+    for name, what in (("runs.xlsx", "ending .xlsx"), ("runs", "no ending")):
         with pytest.raises(UsageError, match=what):
             write_table(tmp_path / name, [])
     monkeypatch.setitem(sys.modules, "pyarrow", None)

@@ -33,14 +33,12 @@ class OurStage(StageContract):
     """A simulated stage of one port, and the section for its driver."""
 
     of_bench: ClassVar[str]
-    names: ClassVar[tuple[str, ...]] = ("pan", "tilt")
-    scale: ClassVar[int] = 6400
 
     def device(self, clock: Callable[[], float]) -> Any:
         ends = {"pan": (15.0, 2.4), "tilt": (10.0, -1.7)}
         axes = {
-            name: AxisConfig(f"10010{number}", *ends[name], self.scale, settle_s=0.001)
-            for number, name in enumerate(self.names, start=1)
+            name: AxisConfig(f"10010{number}", *ends[name], 6400, settle_s=0.001)
+            for number, name in enumerate(ends, start=1)
         }
         stage = make_stage(self.of_bench, axes, clock, lambda *_: None)
         (device,) = stage.dialects.values()
@@ -77,35 +75,6 @@ class TestZaber(OurStage):
             "tilt": axis(10.0, device=2, serial="100102", microsteps_per_deg=6400),
         },
     }
-
-
-@pytest.mark.slow
-class TestXimc(OurStage):
-    """One axis: the suite has one port."""
-
-    of_bench = "ximc"
-    names = ("pan",)
-    section: ClassVar[Mapping[str, Any]] = {
-        "driver": "ximc",
-        "axes": {"pan": axis(port="PORT", serial="100101", steps_per_deg=25, encoder_counts_per_deg=500)},
-    }
-
-
-@pytest.mark.slow
-class TestFlirPtu(OurStage):
-    of_bench = "flir_ptu"
-    scale = 800
-    section: ClassVar[Mapping[str, Any]] = {
-        "driver": "text",
-        "protocol": "flir_ptu",
-        "port": "PORT",
-        "serial": "100101",
-        "axes": {
-            "pan": axis(address="P", counts_per_deg=800),
-            "tilt": axis(10.0, address="T", counts_per_deg=800),
-        },
-    }
-    other_serial = "E9"
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """The command `check`, on views made here, and what `rig` and `convert` refuse."""
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -101,4 +102,4 @@ def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, p
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
     monkeypatch.setattr("bench.solve.solution.calibrate", lambda *_: pytest.fail("calibrated"))
     message = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
-    assert "view1, view2, view3, view4, view5 and other-view1," in message
+    assert re.search("view1.*view5 and other-view1", message)

@@ -31,11 +31,7 @@ def run(*words, home):
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"#!AER-DAT2.0\r\n", "a text file"),
-        (NO_SIZE + WORDS, "--sensor-size"),
-    ],
+    ("content", "words"), [(b"#!AER-DAT2.0\r\n", "a text file"), (NO_SIZE + WORDS, "--sensor-size")]
 )
 def test_an_invalid_file_ends_with_2_and_one_message(tmp_path, content, words):
     (tmp_path / "a.raw").write_bytes(content)

@@ -11,9 +11,7 @@ from calling import out_of, refusal
 from drawn_rig import BOARD as CORNERS_MM
 from drawn_rig import Drawn
 
-from bench.solve.exports import camera_info
 from calib.model.rotation import exp_map, log_map
-from calib.target import StarTarget
 from drivers.camera.formats.event_conversion import convert
 
 pytestmark = pytest.mark.usefixtures("calibrated_once")
@@ -28,41 +26,14 @@ def drawn(tmp_path_factory):
     """The truth, and for each camera its folder of point files and its file of intrinsics."""
     rig = Drawn(2, boards=10, sizes=(SIZE, SIZE))
     folder = tmp_path_factory.mktemp("rig")
-    for name, views, camera in zip(("left", "right"), rig.views, rig.cameras, strict=True):
-        (folder / name).mkdir()
-        for view in views:
-            rows = np.column_stack([view.points_px + 0.5, view.target_mm, view.ids])
-            np.savetxt(folder / name / f"{view.name}.csv", rows, delimiter=",")
-        (folder / f"{name}.yaml").write_bytes(camera_info(camera, name, camera.matrix))
+    rig.write_boards(folder)
     return rig, folder
-
-
-def star_files(rig, folder):
-    """Write what both cameras see behind a collimator, in four poses with noise: every third star of the target."""
-    rng = np.random.default_rng(4)
-    target = StarTarget()
-    plane = target.positions_mm(target.ids) - target.tag_centre_mm
-    disc = (np.linalg.norm(plane, axis=1) < 255.0 * np.tan(np.deg2rad(12.0))) & (target.ids % 3 == 0)
-    rays = np.column_stack([plane, np.full(len(plane), 255.0)])[disc]
-    poses = [(5.0, 2.0, 0.0), (-4.0, 5.0, 30.0), (0.5, -6.0, -80.0), (6.0, -3.0, 160.0)]
-    for name, camera, turn in zip(
-        ("stars-left", "stars-right"), rig.cameras, (np.eye(3), rig.rotation), strict=True
-    ):
-        (folder / name).mkdir()
-        for at, (pan, tilt, roll) in enumerate(poses):
-            held = exp_map(np.deg2rad([tilt, pan, 0.0])) @ exp_map(np.deg2rad([0.0, 0.0, roll]))
-            seen = camera.project(rays @ (turn @ held).T) + 0.05 * rng.standard_normal((len(rays), 2))
-            inside = ((seen > 3) & (seen < np.array(SIZE) - 4)).all(axis=1)
-            rows = np.column_stack([seen + 0.5, target.positions_mm(target.ids)[disc], target.ids[disc]])[
-                inside
-            ]
-            np.savetxt(folder / name / f"pose-{at}.csv", rows, delimiter=",")
 
 
 def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     rig, folder = drawn
-    star_files(rig, folder)
     stars = [folder / "stars-left", folder / "stars-right"]
+    rig.write_stars(*stars)
     turned = json.loads(out_of(capsys, "rig", *stars, "--image-size", "1280x720", "--json"))
     both = json.loads(
         out_of(capsys, "rig", *stars, "--boards", folder / "left", folder / "right", *BOARD, "--json")

@@ -8,16 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from comparison.inputs import (
-    BAD_FILES,
-    NIGHT,
-    QUEUE,
-    SHORT_COMMANDS,
-    WARM,
-    replaced,
-    sequence,
-    station,
-)
+from comparison.inputs import BAD_FILES, NIGHT, QUEUE, SHORT_COMMANDS, WARM, replaced, sequence, station
 from comparison.sides import Side
 
 SEED = 7

@@ -1,7 +1,6 @@
 """The pages of measured tables: each table says where it comes from, and a benchmark replaces its own table only."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,13 +12,6 @@ ORIGIN = re.compile(
     r"^Measured by `(python (?:-m pytest -m slow )?(\S+)|starbench \w+)[^`]*`.*commit [0-9a-f]{8}.*\d{4}-\d\d-\d\d",
     re.MULTILINE,
 )
-
-
-@pytest.fixture
-def measured(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tests" / "benchmarks"))
-    yield __import__("measured")
-    sys.modules.pop("measured")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
@@ -40,36 +32,6 @@ def test_every_page_and_heading_that_a_benchmark_writes_exists():
             r'measured\.run\(main, "(.+?)", "(.+?)"\)', program.read_text(encoding="utf-8")
         ):
             assert f"\n## {title}\n" in (FOLDER / f"{page}.md").read_text(encoding="utf-8"), program.name
-
-
-def test_a_table_is_replaced_and_all_else_stays(measured, tmp_path):
-    page = tmp_path / "stars.md"
-    page.write_text(
-        "# Stars\n\nHead.\n\n## One\n\nHow to read it.\n\nMeasured by `old`.\n\n| 1 |\n\n## Two\n\nRest.\n"
-    )
-    measured.write("stars", "One", "| 2 |\n| --- |\n", "python tests/a.py", tmp_path)
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith(
-        "# Stars\n\nHead.\n\n## One\n\nHow to read it.\n\nMeasured by `python tests/a.py`, commit "
-    )
-    assert text.endswith(".\n\n| 2 |\n| --- |\n\n## Two\n\nRest.\n")
-    measured.write("stars", "Three", "a b\n", "python tests/a.py", tmp_path)
-    assert page.read_text(encoding="utf-8").startswith(text)
-    assert page.read_text(encoding="utf-8").endswith("```text\na b\n```\n")
-
-
-@pytest.mark.parametrize("status", [0, 1])
-def test_a_benchmark_writes_what_it_printed_unless_it_failed(measured, tmp_path, monkeypatch, capsys, status):
-    written = []
-    monkeypatch.setattr(measured, "write", lambda *words: written.append(words))
-    program = str(ROOT / "tests" / "benchmarks" / "bench_x.py")
-    monkeypatch.setattr(sys, "argv", [program, "--write", "--seed", "3"])
-    with pytest.raises(SystemExit) as end:
-        measured.run(lambda: print("a table") or status, "page", "Title")
-    assert end.value.code == status
-    assert capsys.readouterr().out == "a table\n"
-    expected = ("page", "Title", "a table\n", "python tests/benchmarks/bench_x.py --seed 3")
-    assert written == ([] if status else [expected])
 
 
 def sentences_with_a_table():

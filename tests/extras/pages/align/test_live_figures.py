@@ -73,11 +73,7 @@ def test_a_good_slice_shows_everything_and_needs_nothing(good):
 
 @pytest.mark.parametrize(
     ("content", "fault"),
-    [
-        (b"", "it is empty"),
-        (HEADER + np.full(50, 0xC152, "<u2").tobytes(), "0xC152"),
-        (None, "no such file"),
-    ],
+    [(b"", "it is empty"), (HEADER + np.full(50, 0xC152, "<u2").tobytes(), "0xC152"), (None, "no such file")],
 )
 def test_files_that_hold_nothing(tmp_path, content, fault):
     path = tmp_path / "slice.raw"
@@ -206,9 +202,7 @@ def test_rates_beyond_the_gates(good, tmp_path):
     assert figures.saturation == pytest.approx(0.2)
     lost = dataclasses.replace(FACTS, gaps=("3 ms are missing",), filters={"erc": True}, complete=False)
     _, figures = figures_of(good, facts=lost)
-    assert off(figures) == {
-        "Picture": "ended too early; data lost (3 ms are missing); filter ERC is on",
-    }
+    assert off(figures) == {"Picture": "ended too early; data lost (3 ms are missing); filter ERC is on"}
 
 
 def picture_file(path, image):

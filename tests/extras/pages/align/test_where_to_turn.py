@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.extras.pages.align.where_to_turn import (
-    turn_to_centre,
-)
+from bench.extras.pages.align.where_to_turn import turn_to_centre
 from simulators.optics.picture import TARGET, project, true_rotation
 from tests.support.live_slices import bench
 

@@ -133,25 +133,6 @@ def test_lost_devices_are_shown_and_the_old_picture_does_not_look_new(chromium, 
     page.close()
 
 
-def test_a_reload_in_motion_stops_the_stage_and_the_page_comes_back_with_its_controls(chromium, bench):
-    server, session, devices = bench
-    page = Tab(chromium, server.url)
-    page.wait("alignStats.images > 0")
-    devices.stage.step_deg = 0.005
-    page.tab.select_option("#step", "5")
-    page.tab.click("[data-axis=pan] .plus")
-    wait_until(lambda: session.bench.stage.moving)
-    page.tab.reload()
-    wait_until(lambda: "stop" in devices.stage.calls, 1.0)
-    wait_until(lambda: not session.bench.stage.moving)
-    assert devices.stage.at["pan"] < 5
-    page.wait_text("#holder", "This page")
-    moves = [call for call in devices.stage.calls if call[0] == "move"]
-    time.sleep(0.3)
-    assert [call for call in devices.stage.calls if call[0] == "move"] == moves  # coming back moves nothing
-    page.close()
-
-
 @pytest.mark.slow
 def test_the_simulated_bench_is_aligned_in_the_browser(chromium):
     """The whole way with real drivers: live image, home, light, jog; a stop reaches the wire in 50 ms."""

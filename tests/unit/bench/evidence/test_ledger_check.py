@@ -97,8 +97,8 @@ def test_after_a_rollback_of_everything_here_the_sealed_runs_show_it(bench, tmp_
     for path, data in copies.items():
         path.write_bytes(data)
     (fault,) = ledger_faults_of_run(tmp_path / "second", bench.ledger)
-    assert "sealed this run as number 2, but its ledger does not contain it" in fault
-    assert strangers(bench) == [f"The sealed run {tmp_path / 'second'} is not in the ledger."]
+    assert "number 2" in fault
+    assert [str(tmp_path / "second") in stranger for stranger in strangers(bench)] == [True]
     bench.run(tmp_path / "third", place={"number": 2, "head": "0" * 64, "of_camera": {}})
     assert len(strangers(bench)) == 2
 
@@ -114,7 +114,7 @@ def test_a_failed_run_cannot_be_hidden_by_a_ledger_that_was_written_anew(bench, 
         forged.end(place["number"], how="finished", folder=tmp_path / name)
     for file in ("ledger.jsonl", "ledger_high"):
         shutil.copy(forged.home / file, bench.ledger.home / file)
-    assert strangers(bench) == [f"The sealed run {tmp_path / 'c'} is not in the ledger."]
+    assert [str(tmp_path / "c") in stranger for stranger in strangers(bench)] == [True]
     assert ledger_faults_of_run(tmp_path / "c", bench.ledger)
 
 
@@ -123,8 +123,8 @@ def test_two_sealed_runs_with_one_number_are_named(bench, tmp_path):
     bench.run(tmp_path / "other", place={**place, "head": "e" * 64})
     (fault,) = strangers(bench)
     assert fault.startswith(f"The sealed run {tmp_path / 'other'} ")
-    assert fault.endswith("number 1 is that of run kept.")
-    assert "There, number 1 is the run" in ledger_faults_of_run(tmp_path / "other", bench.ledger)[0]
+    assert fault.endswith("of run kept.")
+    assert "number 1" in ledger_faults_of_run(tmp_path / "other", bench.ledger)[0]
 
 
 def test_an_explained_break_is_no_fault_of_its_runs(bench, tmp_path):
@@ -177,7 +177,7 @@ def test_a_folder_that_was_sealed_again_or_only_afterwards_is_noticed(bench, tmp
     with RunFolder.open(tmp_path / "failed") as folder:
         seal(folder, bench.key)
     (fault, *_) = ledger_faults_of_run(tmp_path / "failed", bench.ledger)
-    assert "the ledger says that the run failed without a seal" in fault
+    assert "failed without a seal" in fault
 
 
 def test_a_journal_written_anew_has_another_seal_than_the_ledger(bench, tmp_path):
@@ -217,4 +217,4 @@ def test_a_copy_of_a_sealed_run_is_no_second_run(bench, tmp_path):
 def test_a_damaged_ledger_confirms_no_run_of_this_bench(bench, tmp_path):
     bench.run(tmp_path / "run")
     bench.ledger.path.write_bytes(b"junk\n")
-    assert "does not confirm this run" in ledger_faults_of_run(tmp_path / "run", bench.ledger)[0]
+    assert "does not confirm" in ledger_faults_of_run(tmp_path / "run", bench.ledger)[0]

@@ -74,7 +74,7 @@ def test_of_several_keys_one_must_be_named(agent, tmp_path):
         add(agent, make_key(tmp_path, name))
     with pytest.raises(EvidenceError, match=r"holds 2 keys.*\(ada\).*\(bea\)"):
         find_key(None, agent, lambda _: b"")
-    with pytest.raises(EvidenceError, match="does not hold the key SHA256:x"):
+    with pytest.raises(EvidenceError, match="key SHA256:x"):
         find_key("SHA256:x", agent, lambda _: b"")
     with pytest.raises(EvidenceError, match="There is no ssh-agent"):
         find_key(None, None, lambda _: b"")
@@ -107,7 +107,7 @@ def test_an_agent_that_is_none_is_told_plainly(tmp_path):
 
 def test_an_agent_that_does_not_answer_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "run", mock.Mock(side_effect=subprocess.TimeoutExpired("ssh-add", 10)))
-    with pytest.raises(EvidenceError, match="ssh-add gave no answer within 10 s"):
+    with pytest.raises(EvidenceError, match=r"ssh-add .* 10 s"):
         agent_keys(str(tmp_path / "s"))
 
 
@@ -118,5 +118,5 @@ def test_an_agent_that_refuses_to_sign_is_told_with_its_reason(agent, tmp_path):
     (key,) = agent_keys(agent)
     add(agent, "-D")
     path.unlink()
-    with pytest.raises(EvidenceError, match="ssh-keygen did not sign with this key"):
+    with pytest.raises(EvidenceError, match="ssh-keygen did not sign"):
         key.sign(b"message", "a@v1")

@@ -66,7 +66,7 @@ def test_a_key_in_pem_signs(tmp_path, kind):
 def test_a_key_that_others_can_read_or_that_is_none_is_refused(tmp_path):
     path = make_key(tmp_path)
     path.chmod(0o640)
-    with pytest.raises(EvidenceError, match="Other users can read the key"):
+    with pytest.raises(EvidenceError, match="chmod 600"):
         load_file_key(path, no_passphrase)
     path.chmod(0o600)
     path.write_text("-----BEGIN OPENSSH PRIVATE KEY-----\nbm90aGluZw==\n-----END OPENSSH PRIVATE KEY-----\n")
@@ -80,7 +80,7 @@ def test_without_openssh_a_computer_checks_ed25519_and_says_what_it_needs_for_th
     theirs = read_signature(signed_by_openssh(make_key(tmp_path, kind="rsa"), b"message", "a@v1"))
     monkeypatch.setattr(shutil, "which", lambda _name: None)
     assert is_valid(mine, b"message")
-    with pytest.raises(NotInstalled, match="needs ssh-keygen of OpenSSH, which is not installed"):
+    with pytest.raises(NotInstalled, match="ssh-keygen of OpenSSH"):
         is_valid(theirs, b"message")
 
 

@@ -7,15 +7,7 @@ import pytest
 from journals import CLOCKS
 
 from bench.base.errors import JournalBroken
-from bench.record.events import (
-    AttemptChecked,
-    CaptureStored,
-    Entering,
-    Event,
-    LeftOff,
-    RunEnded,
-    StepDone,
-)
+from bench.record.events import AttemptChecked, CaptureStored, Entering, Event, LeftOff, RunEnded, StepDone
 from bench.record.history import replay
 from bench.record.journal import Journal
 from bench.record.measured_facts import GateData

@@ -62,18 +62,6 @@ def test_a_rollback_that_has_grown_again_to_its_old_length_is_noticed(ledger):
     assert "has another line 6" in faults(ledger)[0]
 
 
-def test_an_end_is_entered_though_the_ledger_was_deleted_and_no_number_is_given_twice(ledger):
-    runs(ledger, 1)
-    place = begin(ledger)
-    ledger.path.unlink()
-    assert "has 0 of at least 3 lines" in faults(ledger)[0]
-    ledger.end(place["number"], how="finished", folder=Path("/runs/none"))
-    assert [e.event for e in ledger.entries()] == ["ledger_broken", "run_ended"]
-    assert [known["runs"] for known in ledger.entries()[0].data["known"]] == [2]
-    assert ledger.runs() == []
-    assert begin(ledger)["number"] == 3
-
-
 def test_a_damaged_ledger_is_kept_and_does_not_stop_a_run(ledger):
     runs(ledger, 2)
     lines = ledger.path.read_bytes().splitlines(keepends=True)
@@ -256,7 +244,8 @@ def test_a_lost_run_is_a_fault_until_a_person_says_what_became_of_it(ledger, los
     (fault,) = map(str, ledger.faults())
     assert f"its folder {lost_run} is missing" in fault
     (shown,) = ledger.faults_and_remedies()
-    assert shown == f"{fault}. Copy it back, or state what became of it: `starbench ledger --explain TEXT`."
+    assert shown.startswith(fault)
+    assert "`starbench ledger --explain TEXT`" in shown
     assert ledger.explain("The disk broke.", "ada") == [fault]
     assert ledger.faults() == []
     (line,) = ledger.explained_runs()

@@ -7,13 +7,7 @@ import pytest
 from report_sample import BORESIGHT, SMALL, sample
 
 from bench.record.results import MountFace, ReadingsUse
-from bench.report.calibration_tables import (
-    budget_rows,
-    combined,
-    not_included,
-    overlap,
-    witness_rows,
-)
+from bench.report.calibration_tables import budget_rows, combined, not_included, overlap, witness_rows
 from bench.report.html import render_report
 from bench.report.run_tables import boresight_rows, inputs, readings_rows
 from bench.wording.numbers import NOTHING

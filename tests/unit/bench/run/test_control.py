@@ -10,7 +10,6 @@ from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.record import inbox as inbox_module
 from bench.record.events import Entering, Event
-from bench.record.folder_lock import is_locked
 from bench.record.history import Attempt, History, replay
 from bench.record.journal import Journal, read_journal
 from bench.record.run_folder import RunFolder
@@ -196,22 +195,3 @@ def test_a_command_to_a_run_that_is_ending_is_refused_as_too_late(run, monkeypat
     monkeypatch.setattr(inbox_module, "write_atomic", too_late)
     with CommandInbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="is ending"):
         send(folder, command("hold"))
-
-
-def test_testing_the_lock_of_a_run_does_not_block_others(tmp_path):
-    RunFolder.create(tmp_path / "run").close()
-    stop = threading.Event()
-
-    def ask():
-        while not stop.is_set():
-            is_locked(tmp_path / "run")
-
-    asking = threading.Thread(target=ask)
-    asking.start()
-    try:
-        for _ in range(20):
-            RunFolder.create(tmp_path / "run").close()
-    finally:
-        stop.set()
-        asking.join()
-    assert not is_locked(tmp_path / "run")

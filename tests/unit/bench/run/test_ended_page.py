@@ -158,4 +158,5 @@ def test_a_page_that_cannot_be_signed_is_said(folder):
 
     lines = []
     write_ended_page(folder, no_key, lines.append, StarTarget())
-    assert lines == ["The page of the run could not be written: The key expired."]
+    (line,) = lines
+    assert line.endswith("The key expired.")

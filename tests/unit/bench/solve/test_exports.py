@@ -94,7 +94,7 @@ READERS = {
     "camera-geometry.json": of_geometry,
 }
 NOT_IN = dict.fromkeys(FISHEYES, ("mrcal.cameramodel", "metavision.json", "camera-geometry.json")) | {
-    "rational": ("camera-geometry.json",),
+    "rational": ("camera-geometry.json",)
 }
 """Formats without a lens."""
 NEARLY = {"kalibr_camchain.yaml": ("k1k2k3p1p2", "rational")}

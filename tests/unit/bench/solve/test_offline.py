@@ -63,7 +63,7 @@ def test_a_few_images_of_another_size_are_left_out_with_a_word(large, left_out):
     assert [views[at].name for at, _ in odd] == left_out
     for (at, sentence), name in zip(odd, left_out, strict=True):
         width, height = views[at].image_size
-        assert re.search(f"^{name}.png: .*{width} x {height} px, 8 others have 1280 x 720 px", sentence)
+        assert re.search(f"^{name}.png: .*{width} x {height} px, 8 .* 1280 x 720", sentence)
 
 
 def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_largest():
@@ -98,7 +98,8 @@ def test_a_recording_that_ends_within_a_word_is_named_once_and_belongs_to_no_run
     path.write_bytes(b"% format EVT2;height=720;width=1280\n% end\n" + bytes(16))
     assert used_recordings([path]) == []
     path.write_bytes(path.read_bytes()[:-1])
-    assert used_recordings([path, path]) == [f"Cut in the middle of a word, and used up to there: {path}."]
+    (sentence,) = used_recordings([path, path])
+    assert f": {path}." in sentence
 
 
 def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path, monkeypatch):
@@ -126,7 +127,7 @@ def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path
 def test_what_only_has_the_name_of_a_point_file_is_left_out_of_its_folder(tmp_path, make):
     make(tmp_path / "a.csv")
     (tmp_path / "points.txt").write_text("".join(f"{x} {y} {x} {y} {n}\n" for n, (x, y) in enumerate(GRID)))
-    with pytest.raises(DegenerateViews, match=r"1 view given.* 1 file left out: .*a\.csv"):
+    with pytest.raises(DegenerateViews, match=r"1 view .* 1 file .*a\.csv"):
         calibrate_paths([tmp_path], OfflineOptions(image_size=(64, 48)))
 
 
@@ -137,7 +138,7 @@ def test_recordings_of_different_cameras_are_refused_by_their_serial_numbers(tmp
         (tmp_path / f"{name}.raw").write_bytes(f"% format EVT3;height=720;width=1280\n{line}% end\n".encode())
     sources = [ViewSource(tmp_path / f"{name}.raw", lambda: None) for name in serials]
     require_one_camera(sources[:3])
-    with pytest.raises(BenchError, match=r"are of 2 cameras, .*: 51 \(a, b\), 52 \(d\)\. Calibrate each"):
+    with pytest.raises(BenchError, match=r"2 cameras, .*: 51 \(a, b\), 52 \(d\)"):
         require_one_camera(sources)
 
 
@@ -145,7 +146,7 @@ def test_too_few_views_are_told_with_the_files_that_were_left_out_by_their_own_n
     words = np.full(2000, 0x80000000, "<u4")  # EVT2: the time alone, so no event shows a target
     (tmp_path / "dark.raw").write_bytes(b"% format EVT2;height=720;width=1280\n% end\n" + words.tobytes())
     (tmp_path / "points.txt").write_text("".join(f"{x} {y} {x} {y} {n}\n" for n, (x, y) in enumerate(GRID)))
-    with pytest.raises(DegenerateViews, match=r"1 view given.* 1 file left out: ") as refused:
+    with pytest.raises(DegenerateViews, match=r"1 view .* 1 file ") as refused:
         calibrate_paths([tmp_path], OfflineOptions(image_size=(64, 48)))
     assert f"left out: {tmp_path / 'dark.raw'}: " in str(refused.value)
     assert str(refused.value).count("dark.raw") == 1

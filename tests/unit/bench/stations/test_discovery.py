@@ -93,8 +93,8 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
 def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
     show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)))
     output = capsys.readouterr().out
-    assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in output
-    assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in output
+    assert "source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F" in output
+    assert "serial: 00051  # EVK4  (access denied)" in output
     assert "missing      Something." in output
 
 
@@ -179,10 +179,7 @@ def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controlle
     station = load_station(str(path)).value
     assert {
         name: (axis.number, axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()
-    } == {
-        "pan": (1, "SN1", (-9.5, 9.5)),
-        "tilt": (2, "SN2", (-12.0, 12.0)),
-    }
+    } == {"pan": (1, "SN1", (-9.5, 9.5)), "tilt": (2, "SN2", (-12.0, 12.0))}
     assert light.what == f"Gardasoft {station.light.model}"
 
 
@@ -214,8 +211,8 @@ def test_a_board_is_asked_for_scales_and_travel(others):
         stage = ask_stage("grbl", [bench.endpoints[name] for name in (*others, "gimbal")], BenchClock())
         assert stage.ports == {bench.endpoints["gimbal"]}
     text = draft_station(Discovery((), (), ()), stage="grbl", asked=(stage, None))
-    assert "pan: {letter: X, steps_per_deg: 640, zero_deg: 15, limits_deg: [-12, 12]," in text
-    assert "tilt: {letter: Y, steps_per_deg: 640, zero_deg: 15, limits_deg: [-6, 12]," in text
+    for letter, lowest in (("X", -12), ("Y", -6)):
+        assert f"{letter}, steps_per_deg: 640, zero_deg: 15, limits_deg: [{lowest}, 12]," in text
 
 
 @pytest.mark.parametrize("agrees", [True, False])
@@ -238,8 +235,8 @@ def refused_link(*_, **__):
 def test_where_nobody_can_agree_a_board_is_not_asked(capsys, tmp_path):
     words = ("--stage", "grbl", "--port", "/dev/none")
     errors = call(capsys, "station", "new", tmp_path / "a.yaml", *words).err
-    assert "may restart it: it then loses its position" in errors
-    assert "The board was not asked" in errors
+    assert "may restart" in errors
+    assert "was not asked" in errors
 
 
 @pytest.mark.parametrize(("stage", "asked"), [("thorlabs_apt", [1]), ("ximc", []), ("zaber_ascii", [0, 1])])

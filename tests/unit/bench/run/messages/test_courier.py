@@ -54,7 +54,8 @@ def test_a_server_that_hangs_delays_no_run_and_the_next_run_delivers(outbox, ser
         write(courier, station, key, place=(7, "b" * 64))
     courier.close(0.2)
     assert time.monotonic() - begun < 2
-    assert lines == [f"Messages not delivered yet: {outbox.unsent()}. See `starbench messages`."]
+    (line,) = lines
+    assert f": {outbox.unsent()}. " in line
     let_go.set()
     wait_until(lambda: sorted(taken.get("WORKS", [])) == ["first", "second"], 10)
     courier_of(station, VirtualClock(BEGIN), lines.append).close(5.0)

@@ -1,1 +1,0 @@
-// The watchdog is not used.

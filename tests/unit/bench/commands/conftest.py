@@ -1,0 +1,19 @@
+"""Commands called in a folder of their own, with what they print."""
+
+import pytest
+from calling import ended
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def say(capsys, here):
+    def called(*words):
+        status, captured = ended(capsys, *words)
+        return status, captured.out, captured.err
+
+    return called
