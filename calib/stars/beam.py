@@ -38,7 +38,6 @@ class Beam(NamedTuple):
     """The beam's disc in a picture."""
 
     share: float  # Share of the frame that is lit, 0 to 1
-    rim_in_view: bool | None  # Whether some of the rim is inside the frame; None if nothing is lit
     # Centre (column, row) of the circle through the rim, px; None if the rim does not show it.
     centre_px: tuple[float, float] | None
     radius_px: float | None  # Radius of the circle, px
@@ -62,16 +61,15 @@ def find_beam(image: AnyArray, *, least: float = 0.0, radius_px: float | None = 
     lit = _filled((closed > level).astype(np.uint8))
     share = float(lit.mean())
     if white <= least or share < MIN_LIT:
-        return Beam(0.0, None, None, None, np.zeros(small.shape, np.uint8), scale)
+        return Beam(0.0, None, None, np.zeros(small.shape, np.uint8), scale)
     rim, circle = _rim(lit), None
-    in_view = len(rim) >= MIN_RIM
-    if in_view and share <= 1.0 - MIN_DARK:
+    if len(rim) >= MIN_RIM and share <= 1.0 - MIN_DARK:
         circle = _circle(rim, lit) if radius_px is None else _circle_of(radius_px / scale, rim, lit)
     if circle is None:
-        return Beam(share, in_view, None, None, lit, scale)
+        return Beam(share, None, None, lit, scale)
     (x, y), radius = circle
     centre = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5)
-    return Beam(share, True, centre, radius * scale, lit, scale)
+    return Beam(share, centre, radius * scale, lit, scale)
 
 
 def reduced(image: AnyArray, side: int) -> tuple[Array32, float]:

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from bench.base.errors import ControlRefused
-from bench.extras.pages.align.open_bench import SimulatedHands
+from bench.extras.pages.align.simulated_hands import SimulatedHands
 
 
 class Simulation:

@@ -289,7 +289,7 @@ def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
 
 def test_a_device_that_fails_during_opening_closes_the_others():
     devices = FakeDevices()
-    devices.camera.identify = lambda: (_ for _ in ()).throw(CameraLost("gone.", where="camera"))
+    devices.camera.apply = lambda _: (_ for _ in ()).throw(CameraLost("gone.", where="camera"))
     session, _ = fake_session(devices)
     assert session.open().kind == "CameraLost"
     assert devices.closed

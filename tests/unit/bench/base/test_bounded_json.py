@@ -12,7 +12,7 @@ from bench.base.errors import StorageError
 from bench.record.storage import MOST_BYTES, read_bounded, read_json
 
 OWN_DATA = {
-    "extras/pages/align/open_bench.py",  # answers of the simulated bench, a process of our own
+    "extras/pages/align/simulated_hands.py",  # answers of the simulated bench, a process of our own
     "base/bounded_json.py",
     "extras/certificate/amend.py",  # text that was written a line before
     "extras/certificate/pdf.py",
