@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeVar, cast
 
 import numpy as np
@@ -70,6 +70,8 @@ class View:
         single number is taken too: the 1-sigma of every point along each axis, px.
     rim
         The rim of the beam in the image; None if there is no image, as for a list of points.
+    recorded_s
+        When it was recorded, s, by one clock for all views; None if it is not known.
 
     Raises
     ------
@@ -85,6 +87,7 @@ class View:
     target_mm: Array
     covariances_px2: Array = field(default_factory=lambda: np.empty(0))
     rim: RimPoints | None = None
+    recorded_s: float | None = None
     _remembered: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -173,8 +176,7 @@ class View:
         View
             The rest is the same.
         """
-        stars = self.ids[kept], self.points_px[kept], self.target_mm[kept], self.covariances_px2[kept]
-        return View(self.name, self.image_size, *stars, self.rim)
+        return replace(self, **{name: getattr(self, name)[kept] for name in _ARRAYS})
 
     def remembered(self, what: str, of: Callable[[View], T]) -> T:
         """Return what a function gives for this view; it is computed at the first call only.
@@ -195,3 +197,10 @@ class View:
         if what not in self._remembered:
             self._remembered[what] = of(self)
         return cast("T", self._remembered[what])
+
+
+def times_of(views: Sequence[View]) -> Array:
+    """Return (n,) when views were recorded, 0 the first and 1 the last; by their order if a time is not known."""
+    known = [view.recorded_s for view in views if view.recorded_s is not None]
+    times = np.array(known) if len(known) == len(views) else np.arange(1.0 * len(views))
+    return (times - times.min()) / max(float(np.ptp(times)), 1e-3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,8 @@ def views_file(views: Iterable[StoredView]) -> bytes:
             group.attrs["image_size"] = view.image_size
             for name, values in arrays_of(view, {"residuals_px": stored.residuals_px}).items():
                 group.create_dataset(name, data=values)
+            if view.recorded_s is not None:
+                group.attrs["recorded_s"] = view.recorded_s
             if view.rim is not None:
                 group.attrs["rim_level_sigma_mm"] = view.rim.level_sigma_mm
             if stored.picture is not None:
@@ -140,4 +142,7 @@ def _stored_view(group: h5py.Group, picture: Callable[[], NDArray[np.uint8]] | N
         raise InputMismatch(
             f"{len(view)} stars, but residuals of shape {residuals_px.shape}", where=group.name
         )
+    recorded_s = group.attrs.get("recorded_s")  # files of earlier versions have none
+    if recorded_s is not None:
+        view = replace(view, recorded_s=float(recorded_s))
     return StoredView(view, residuals_px, picture)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, ParamSpec
@@ -55,6 +56,12 @@ class Attempt:
     stored: CaptureStored
     checked: AttemptChecked | None = None  # Journal line about its measurement; None before it was measured
     stored_utc: str = ""  # Time of the line that it was stored, ISO 8601
+    begun_utc: str = ""  # Time of the line that its recording began
+
+    @property
+    def begun_s(self) -> float:
+        """When its recording began, s since 1970."""
+        return datetime.fromisoformat(self.begun_utc).timestamp()
 
     @property
     def accepted(self) -> bool:
@@ -314,7 +321,8 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
             history.check(int(data["pose"]), int(data["attempt"]), entry.of(AttemptChecked))
         case Event.CAPTURE_STORED:
             pose, name, attempt = int(data["pose"]), str(data["pose_name"]), int(data["attempt"])
-            history.add(Attempt(pose, name, attempt, entry.of(CaptureStored), stored_utc=entry.utc))
+            begun_utc = history.states[-1]["utc"] if history.states else entry.utc
+            history.add(Attempt(pose, name, attempt, entry.of(CaptureStored), None, entry.utc, begun_utc))
 
 
 def count_crash(history: History, crash: object) -> None:

@@ -25,7 +25,7 @@ from calib.model.cause import LARGEST_EVIDENCE, SLIPPED
 from calib.model.gimbal_readings import AXES
 from calib.studies.camera_check import split_half
 from calib.studies.parallax import Parallax, PupilWalk, pupil_walk
-from calib.view import View
+from calib.view import View, times_of
 
 _NOT_INDEPENDENT = (
     "The readings also entered the calibration, so this comparison is not independent of them.",
@@ -50,7 +50,10 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> Halv
 
 
 def gimbal_check(
-    calibration: Calibration, readings_deg: Sequence[Mapping[str, float]], stated: GimbalConfig | None = None
+    calibration: Calibration,
+    views: Sequence[View],
+    readings_deg: Sequence[Mapping[str, float]],
+    stated: GimbalConfig | None = None,
 ) -> GimbalComparison | None:
     """Compare the estimated rotations with the gimbal's readings; ``pan_encoder`` replaces ``pan`` (docs/results.md).
 
@@ -68,7 +71,8 @@ def gimbal_check(
             else 0.0,
             # The covariance of the joint adjustment holds that the views differ.
             birge_ratio=calibration.birge_ratio if calibration.model in REFERENCE_MODELS else 1.0,
-            names=[view.name for view in calibration.views],
+            names=[view.name for view in views],
+            times=times_of(views),
         )
     except CalibrationError:  # too few poses, or axes that did not move
         return None

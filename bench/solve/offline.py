@@ -278,6 +278,8 @@ def read_views(
     for number, source in enumerate(sources, start=1):
         try:
             view = source.read()
+            if source.attempt is not None:
+                view = replace(view, recorded_s=source.attempt.begun_s)
             rough_homography(view)  # a view without one takes no part
         except CalibrationError as error:
             skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")

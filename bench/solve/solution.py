@@ -114,8 +114,11 @@ def accepted_measurements(
     accepted = sorted(history.accepted().items())
     for index, attempt in accepted:
         check()
-        if index not in measured:
-            measured[index] = _stars_found_again(job, folder, attempt)
+        measurement = measured.get(index) or _stars_found_again(job, folder, attempt)
+        view = measurement.view
+        if view is not None and view.recorded_s is None:
+            measurement = replace(measurement, view=replace(view, recorded_s=attempt.begun_s))
+        measured[index] = measurement
     readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
     return [measured[index] for index, _ in accepted], readings
 
@@ -165,7 +168,7 @@ def solve_run(
     calibration = calibrated(views, options, notes, check)
     checks = Checks(
         halves=split_half_check(views, options),
-        gimbal=gimbal_check(calibration, readings, job.station.gimbal),
+        gimbal=gimbal_check(calibration, views, readings, job.station.gimbal),
         parallax=parallax_check(calibration, views, job.station, str(history.started["sequence"])),
         mount_faces=mount_faces(calibration, job.station),
         check=stated_camera_check(job, step, calibration),

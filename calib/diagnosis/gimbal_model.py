@@ -44,9 +44,10 @@ _SAME = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class GimbalModel:
-    """The readings of a gimbal, (n, 3) degrees of pan, tilt and roll, axes with a free scale, and suspects."""
+    """The readings of a gimbal, axes with a free scale, and suspects."""
 
-    angles: Array
+    angles: Array  # (n, 3) of pan, tilt and roll, degrees
+    times: Array  # (n,) when they were read, 0 the first and 1 the last
     free: tuple[int, ...]
     suspects: tuple[Suspect, ...] = ()
 
@@ -177,7 +178,7 @@ def fit_at(
     """
     a, b, values = parameters
     head, motors, leaning = Gimbal(a, b).turned(model.read_deg(values))
-    frames = Frames(motors, leaning[:, :, None], head @ b)
+    frames = Frames(motors, leaning[:, :, None], head @ b, model.times)
     about = [suspect.columns(frames) for suspect in model.suspects]
     turns = [exp_map(axes @ model.of(own, values)) for own, axes in zip(model.suspects, about, strict=True)]
 

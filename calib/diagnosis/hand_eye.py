@@ -52,6 +52,7 @@ def check_hand_eye(
     parallax_sigma: float = PARALLAX,
     birge_ratio: float = 1.0,
     names: Sequence[str] = (),
+    times: Array | None = None,
 ) -> HandEyeCheck:
     """Compare the readings of a gimbal, in the order in which they were taken, with the rotations of a calibration.
 
@@ -60,7 +61,8 @@ def check_hand_eye(
     covariance: Paule and Mandel (1982). Rotations, covariance (of `Calibration.rotation_covariance`) and Birge ratio
     are those of a `Calibration`. ``reading_sigma_deg`` is what is stated of each reading, 1 sigma: scatter below it is
     no fault. ``scale_sigma`` is what is stated of the scale of each axis, 1 sigma: a ratio within it is none either;
-    ``parallax_sigma`` what parallax may do to all of them.
+    ``parallax_sigma`` what parallax may do to all of them. ``times`` are (n,) of `calib.view.times_of`; None: poses
+    at equal times.
     Raises InputMismatch: If the numbers of views differ, or an axis is unknown.
     Raises DegenerateViews: If there are fewer than 3 views, or no axis moved.
     """
@@ -77,11 +79,12 @@ def check_hand_eye(
     enough = 3 * len(angles) > 6 + moved.sum()
     free = tuple(int(i) for i in np.flatnonzero(moved)) if enough else ()
     stated = _Stated(rotations, covariance, float(np.deg2rad(reading_sigma_deg)), given)
-    first = stated.weighed(GimbalModel(angles, free))
+    times = np.linspace(0.0, 1.0, len(angles)) if times is None else times
+    first = stated.weighed(GimbalModel(angles, times, free))
     best, other, beside = first, None, tuple[str, ...]()
     if enough and (first.last.scattered or _looks_back(first.last.fit)):  # others fit no better
         tried = [
-            (each, stated.weighed(GimbalModel(own, free, more)))
+            (each, stated.weighed(GimbalModel(own, times, free, more)))
             for each, own, more in _other_readings(angles, free)
         ]
         tried.sort(key=lambda pair: -pair[1].worth)

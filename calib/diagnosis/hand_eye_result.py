@@ -19,7 +19,7 @@ from calib.model.gimbal_readings import AXES
 from calib.model.likelihood_ratio import ALONE, DECISIVE
 
 #: Verdicts that are no cause.
-AGREES, AMBIGUOUS, OFF_SCALE, VIEWS_BIASED = "agrees", "ambiguous", "scale or parallax", "views biased"
+AGREES, AMBIGUOUS, OFF_SCALE = "agrees", "ambiguous", "scale or parallax"
 #: Views disagree if they differ this many times more than star noise explains.
 _DISAGREE = 1.5
 #: Nothing is so loose, or reads so badly, that it scatters by half a degree.
@@ -84,7 +84,7 @@ class HandEyeCheck:
         if self.ambiguous:
             return AMBIGUOUS
         if self.excess_arcsec > 0.0:
-            return VIEWS_BIASED
+            return kinds.BIASED
         return OFF_SCALE if any(self._scale_evidence(axis) > DECISIVE for axis in self.scale) else AGREES
 
     @property
@@ -152,12 +152,17 @@ class HandEyeCheck:
         """Yield that readings or rotations scatter; nothing if the views disagree also without the readings."""
         if self.excess_arcsec <= 0.0 or self.birge_ratio > _DISAGREE:
             return
-        evidence = dict(zip((kinds.SCATTERED, kinds.LOOSE, ""), self.scatters.tolist(), strict=True))
-        kind, *others = sorted(evidence, key=lambda name: -evidence[name])
-        if kind:
-            beside = tuple(name for name in others if name and evidence[name] > evidence[kind] - ALONE)
+        evidence = dict(
+            zip((kinds.SCATTERED, kinds.LOOSE, kinds.BIASED), self.scatters.tolist(), strict=True)
+        )
+        likely = [name for name in evidence if evidence[name] > max(evidence.values()) - ALONE]
+        likely.sort(key=lambda name: (name == kinds.BIASED, -evidence[name]))
+        kind, *beside = likely
+        if kind != kinds.BIASED:
             size = self.excess_arcsec / 3600.0
-            yield Cause(kind, min(evidence[kind], LARGEST_EVIDENCE), size, unit="degrees", beside=beside)
+            yield Cause(
+                kind, min(evidence[kind], LARGEST_EVIDENCE), size, unit="degrees", beside=tuple(beside)
+            )
 
     def _ratios(self) -> str:
         """Return what each axis and the pairs of poses show, in words."""
@@ -180,7 +185,7 @@ _OF_VERDICT = {
     OFF_SCALE: "The ratio differs from 1: the gimbal has a scale error, the focal length is wrong, or there is "
     "parallax: the entrance pupil is off the pivot and the collimator out of focus. Below about 1 % nothing tells them "
     "apart.",
-    VIEWS_BIASED: "Rotations and readings differ by more than their uncertainties explain. Errors of the collimator or "
+    kinds.BIASED: "Rotations and readings differ by more than their uncertainties explain. Errors of the collimator or "
     "of the lens model, which bias the views, do so too. So this does not show an error of the gimbal.",
 }
 

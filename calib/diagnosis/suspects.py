@@ -29,18 +29,19 @@ class Frames:
     motors: Array  # (n, 3, 3) axes of pan, tilt and roll
     leaning: Array  # (n, 3, 1) axis about which pan leans against a right angle with tilt
     target: Array  # (n, 3, 3) axes of the target
+    times: Array  # (n,) when the camera stood there, 0 the first and 1 the last
 
     def turned(self, errors: Array) -> Frames:
         """Return them after (n, 3, 3) turns of the camera."""
-        return Frames(errors @ self.motors, errors @ self.leaning, errors @ self.target)
+        return Frames(errors @ self.motors, errors @ self.leaning, errors @ self.target, self.times)
 
 
-#: Course over the poses: from their (n,) numbers and the pose of a suspect to (n,) its share in each.
+#: Course over the poses: from their (n,) times and the pose of a suspect to (n,) its share in each.
 _COURSES: Mapping[str, Callable[[Array, int], Array]] = {
-    "from a pose on": lambda numbers, pose: np.where(numbers >= pose, 1.0, 0.0),
-    "at a pose": lambda numbers, pose: np.where(numbers == pose, 1.0, 0.0),
-    "steadily": lambda numbers, _: numbers / numbers[-1],
-    "always": lambda numbers, _: np.ones(len(numbers)),
+    "from a pose on": lambda times, pose: np.where(np.arange(len(times)) >= pose, 1.0, 0.0),
+    "at a pose": lambda times, pose: np.where(np.arange(len(times)) == pose, 1.0, 0.0),
+    "steadily": lambda times, _: times,
+    "always": lambda times, _: np.ones(len(times)),
 }
 
 
@@ -103,7 +104,7 @@ class Suspect:
     def columns(self, frames: Frames) -> Array:
         """Return (n, 3, size) derivatives of the rotations."""
         row = _ROWS[self.kind]
-        course = _COURSES[row.course](np.arange(1.0 * len(frames.target)), self.pose)
+        course = _COURSES[row.course](frames.times, self.pose)
         return np.asarray(row.axes(frames, self.axis) * course[:, None, None])
 
 

@@ -36,7 +36,7 @@ _ROWS = (
 def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     """Return by group the (p,) variances of quantities with (p, S) gradients; they add up to those of the posterior."""
     parts: dict[str, Array] = {}
-    if posterior.reach:
+    if posterior.unsteady is not None:
         _add_to(parts, {names.UNSTEADY: (gradients @ posterior.unsteady) ** 2 / 3.0})
     means, middle, end = posterior.means @ gradients.T, posterior.mean @ gradients.T, 0
     members = [(posterior, posterior.share, gradients, "")]

@@ -41,7 +41,7 @@ def find_causes(
     """
     found = [cause for cause in of_views if cause is not None]
     ids = [cause for cause in found if cause.kind == kinds.IDS]
-    causes = ids or [*_of_gimbal(result, stated), *_other_scale(posterior, stated), *found]
+    causes = ids or [*_of_gimbal(result, posterior, stated), *_other_scale(posterior, stated), *found]
     causes = [replace(cause, evidence=min(cause.evidence, LARGEST_EVIDENCE)) for cause in causes]
     return tuple(sorted(causes, key=lambda cause: -cause.evidence))
 
@@ -80,7 +80,7 @@ def _two_log_odds(against: float) -> float:
     return 2.0 * (math.log1p(-min(against, 0.999)) - math.log(max(against, 1e-30)))
 
 
-def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, ...]:
+def _of_gimbal(result: Calibration, posterior: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:
     """Return what explains the readings and the rotations of the stars together."""
     readings = stated.gimbal
     if readings is None or not len(result.rotation_covariance):
@@ -96,6 +96,7 @@ def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, 
             scale_sigma=math.hypot(readings.scale_sigma, math.radians(readings.eccentricity_deg)),
             parallax_sigma=parallax,
             names=[view.name for view in result.views],
+            times=posterior.optimum.marginal.problem.bench.times,
         )
     except CalibrationError:  # too few poses, or axes that did not move
         return ()

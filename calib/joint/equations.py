@@ -142,6 +142,7 @@ class Bench:
     image_size: tuple[int, int]
     stars: tuple[ViewStars, ...]
     poses: NDArray[np.int64]  # (m,) pose of each view
+    times: Array  # (m,) when the views were recorded, 0 the first and 1 the last
     readings: Readings | None
     turns: Array  # (n, 2) tangents of each pose's turn along X and Y; data, so that no step changes them
     axes: Array  # (n, 2, 2) the camera's x and y axes on the target; data as well

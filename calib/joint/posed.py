@@ -29,7 +29,7 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.lens import BROWN, FISHEYE, R8, is_fisheye
 from calib.model.passport import Passport
-from calib.view import View
+from calib.view import View, times_of
 
 
 def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
@@ -116,6 +116,7 @@ def posed(
         views[0].image_size,
         tuple(ViewStars.of(view, layout, disc) for view, disc in zip_longest(views, rims)),
         poses,
+        times_of(views),
         readings,
         turns,
         axes,

@@ -78,7 +78,9 @@ class Posterior:
     largest: Node  # The mode with the largest share
     others: tuple[Other, ...] = ()
     denied: Innovation | None = None  # A statement that is not in the equations: it is probably wrong
-    reach: float = 0.0  # How far focal lengths of the poses are from the stated ones, as a share
+    # (S,) how far the shared unknowns of a pose may be from the stated ones, all together; even up to there. None: as
+    # far as the covariance says.
+    unsteady: Array | None = None
     better_lens: str = (
         ""  # The coefficients of the other family of lenses, if it explains the views far better
     )
@@ -143,20 +145,16 @@ class Posterior:
         from_mean = self.means - self.mean
         within = sum(weight * own for weight, own in zip(self.weights, self.covariances, strict=True))
         covariance = within + (self.weights[:, None] * from_mean).T @ from_mean
-        return np.asarray(covariance + np.outer(self.unsteady, self.unsteady) / 3.0)
-
-    @cached_property
-    def unsteady(self) -> Array:
-        """(S,) how far the shared unknowns of a pose may be from the stated ones, all together; even up to there."""
-        focal = np.isin(self.optimum.marginal.problem.bench.layout.names, ("fx", "fy"))
-        return np.asarray(np.where(focal, self.reach * self.mean, 0.0))
+        if self.unsteady is not None:
+            covariance = covariance + np.outer(self.unsteady, self.unsteady) / 3.0
+        return np.asarray(covariance)
 
     def expanded(self, row: Array) -> float:
         """Return U of the function with the (S,) gradient row: 2 u, and beyond as far as the focal lengths of poses.
 
         An interval of 95.45 % jumps where the probability of a second camera passes 4.55 %.
         """
-        beyond = abs(float(row @ self.unsteady))
+        beyond = 0.0 if self.unsteady is None else abs(float(row @ self.unsteady))
         return 2.0 * math.sqrt(float(row @ self.covariance @ row) - beyond**2 / 3.0) + beyond
 
     def share_of(self, fault: tuple[str, str]) -> float:

@@ -63,7 +63,7 @@ def calibrate_jointly(
     posterior, gimbal, entered, shifted = adjusted
     parameters = _parameters(posterior)
     require_determined(posterior, kept, parameters, entered, shifted)
-    posterior = replace(posterior, reach=focus.reach if focus else 0.0)
+    posterior = replace(posterior, unsteady=focus.beyond(posterior) if focus else None)
     result = _calibration(posterior, views, used, parameters, gimbal)
     from calib.joint.causes import find_causes  # here: it brings scipy, which a forecast does not need
 

@@ -56,14 +56,26 @@ class UnsteadyFocus:
         return kinds.UNCHANGED not in self.beside
 
     @property
-    def reach(self) -> float:
-        """How far the farthest may be from the stated one, as a share: that is the middle if the change is sure."""
-        stated = self._middle if self.is_sure else self.log_f.mean()
-        return float(np.abs(self.log_f - stated).max()) + self.sigma
-
-    @property
     def _middle(self) -> float:
         return 0.5 * float(self.log_f.max() + self.log_f.min())
+
+    def beyond(self, posterior: Posterior) -> Array:
+        """Return (S,) how far the shared unknowns of a pose may be from the stated ones.
+
+        These are those of the middle focal length if the change is sure. All other unknowns follow what is not known of
+        it: a focal length that grows with the tilt displaces the principal point.
+        """
+        optimum, off = at_best(posterior.optimum), self.log_f - self.log_f.mean()
+        not_known = off
+        if self.is_sure:
+            off = self.log_f - self._middle
+            not_known = self.sigma / np.ptp(off) * off
+        at = optimum.marginal.problem.bench.layout.places(("fx", "fy"))
+        basis = np.zeros(optimum.marginal.equations.right_of_views.shape)
+        basis[:, at] = not_known[:, None] * optimum.state.shared[at]
+        beyond = displaced(optimum, basis, optimum.eta).solution.step - optimum.solution.step
+        beyond[at] = (np.abs(off).max() + self.sigma) * posterior.mean[at]
+        return beyond
 
     def at_middle(self, views: Sequence[View], centre: Array) -> list[View]:
         """Return the views as the middle focal length shows them; ``centre`` is the principal point, px."""
@@ -160,7 +172,7 @@ class _Changed:
         there, log_f = modes_of(self.optimum), self.change.shares @ self.sizes
         worth = 2.0 * float(log_evidence(there, there.optimum) - before) - self.cost
         span = self.change.shares[log_f.argmax()] - self.change.shares[log_f.argmin()]
-        covariance = np.linalg.inv(self.information + np.eye(len(span)) / _CHANGE**2)
+        covariance = np.linalg.inv(self.information + _expected(self.sizes))
         sigma = math.sqrt(span @ covariance @ span)
         return UnsteadyFocus(self.change.kind, log_f, sigma, worth, self.change.first)
 
@@ -178,7 +190,7 @@ def _others(optimum: Optimum) -> list[UnsteadyFocus]:
     ]
     steps.sort(key=lambda change: -change.promised(gains))
     # The drift of the adjustment is a field on the target, which a large one leaves; this one is exact.
-    creeps = _Change(kinds.FOCUS_CREEPS, bench.poses[:, None] / (bench.n_poses - 1), odds)
+    creeps = _Change(kinds.FOCUS_CREEPS, bench.times[:, None], odds)
     plays = _Change(kinds.FOCUS_PLAYS, np.eye(bench.n_poses)[bench.poses], odds)
     tried = [change for change in (*steps[:_TRIED], creeps, plays) if change.promised(gains) > _PROMISED]
     changed = [_changed(optimum, change, columns) for change in tried]
@@ -198,6 +210,13 @@ def _changed(optimum: Optimum, change: _Change, columns: Array) -> _Changed:
     sizes, there = np.zeros(change.shares.shape[1]), optimum
     for _ in range(_IMPROVED):
         added = AddedColumns.of(there, along)
-        sizes = sizes + np.linalg.solve(added.information + np.eye(len(sizes)) / _CHANGE**2, added.gradient)
+        expected = _expected(sizes)
+        pull = added.gradient - expected @ sizes
+        sizes = sizes + np.linalg.solve(added.information + expected, pull)
         there = displaced(optimum, along @ sizes, there.eta)
     return _Changed(change, sizes, added.information, there)
+
+
+def _expected(sizes: Array) -> Array:
+    """Return the (K, K) information of the prior on (K,) sizes: those far out are expected to be so."""
+    return np.diag((_CHANGE * (1.0 + (sizes / _CHANGE) ** 2)) ** -2.0)

@@ -18,7 +18,7 @@ TURNED, MOVED, HELD = (
     "target turned in its holder",
 )
 CREEPS, SHIFTS = "camera creeps in its mount", "collimator or target creeps"
-LOOSE, SCATTERED = "camera loose at each pose", "readings scatter"
+LOOSE, SCATTERED, BIASED = "camera loose at each pose", "readings scatter", "views biased"
 SLIPPED, ONE_POSE, NOT_SQUARE = "axis slipped", "one pose does not fit", "axes not at right angles"
 REVERSED, EXCHANGED, LATE = "sign of an axis", "axes exchanged", "readings of a neighbouring pose"
 AXIS_SCALE, UNITS, SAGS = "scale of an axis", "readings in another unit", "camera sags with tilt"
@@ -111,6 +111,7 @@ _ALL = "record all poses again."
 _SPANNED = "U spans what was seen"
 _NO_SINGLE = "No single focal length holds: lock the focus ring"
 _FIRST_AGAIN = "repeat the first pose at the end"
+_SAME_POSE = "come to one pose several times and compare the stars"
 _WORDS: Mapping[str, Words] = {
     TURNED: Words(
         "the camera turned in its mount",
@@ -148,9 +149,10 @@ _WORDS: Mapping[str, Words] = {
         "The camera, or what carries it, stands otherwise at each pose, by some {size} about each axis",
         "Look for a loose screw of camera, lens and stage, and repeat one pose several times.",
     ),
+    BIASED: Words("errors of the collimator or of the lens bias the views", _SAME_POSE),
     SCATTERED: Words(
         "the readings of the axes scatter",
-        "come to one pose several times and compare the stars",
+        _SAME_POSE,
         "The readings of the axes scatter by some {size} against the stars",
         "Come to one pose several times, from the same side, and compare the stars.",
     ),

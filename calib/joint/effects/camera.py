@@ -75,8 +75,8 @@ class Drift(Effect):
     names = (DRIFT,)
 
     def fill(self, columns: Array, poses: Turned) -> None:
-        for pose, (time, turn) in enumerate(zip(poses.times, poses.turns, strict=True)):
-            columns[pose, self.pose.field, 0] = time * self.pose.fields.shape(partial(np.add, -turn))
+        for pose, (at, turn) in enumerate(zip(poses.order, poses.turns, strict=True)):
+            columns[pose, self.pose.field, 0] = at * self.pose.fields.shape(partial(np.add, -turn))
 
 
 def _alike(names: tuple[str, ...], amplitude: str) -> RandomBlock:

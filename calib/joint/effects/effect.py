@@ -121,8 +121,8 @@ class Turned:
         return np.asarray(1.0 / np.sqrt(1.0 + (self.turns**2).sum(axis=1)))
 
     @property
-    def times(self) -> Array:
-        """(n,) when the poses were recorded, from -1/2 to 1/2."""
+    def order(self) -> Array:
+        """(n,) from -1/2, the first pose, to 1/2, the last: times would make each replay of a run another result."""
         n = len(self.turns)
         return np.linspace(-0.5, 0.5, n) if n > 1 else np.zeros(1)
 

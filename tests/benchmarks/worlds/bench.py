@@ -29,6 +29,7 @@ class Seen:
     px: Array  # (N, 2)
     mm: Array  # (N, 2) nominal positions on the print
     sigma_px: Array  # (N,) stated
+    recorded_s: float | None = None
 
 
 @dataclass(frozen=True)

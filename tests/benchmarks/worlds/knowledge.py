@@ -55,6 +55,7 @@ def views_of(bench: Bench) -> list[calib.View]:
             v.px,
             v.mm,
             v.sigma_px[:, None, None] ** 2 * np.eye(2),
+            recorded_s=v.recorded_s,
         )
         for v in bench.views
     ]

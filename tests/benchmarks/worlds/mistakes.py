@@ -62,6 +62,8 @@ def _turned(turns_deg: Callable[[np.random.Generator], Array], by_room: bool = F
 
 
 _POSES = np.arange(len(NINE))
+#: When the poses are recorded if a person goes for a coffee, min.
+_PAUSED = np.array([0, 1, 2, 3, 4, 5, 21, 22, 23])
 
 
 def _knocked(deg: float, axis: Array | None = None, by_room: bool = False) -> Change:
@@ -73,8 +75,13 @@ def _knocked(deg: float, axis: Array | None = None, by_room: bool = False) -> Ch
     return _turned(turns, by_room)
 
 
-def _creep(deg: float, by_room: bool = False) -> Change:
-    return _turned(lambda _: np.outer(_POSES, deg * np.array([0.45, 0.89, 0.0])), by_room)
+def _creep(deg: float, by_room: bool = False, course: Array = _POSES) -> Change:
+    return _turned(lambda _: np.outer(course, deg * np.array([0.45, 0.89, 0.0])), by_room)
+
+
+def _paused(change: Change) -> Change:
+    timed = views(lambda i, view: replace(view, recorded_s=60.0 * _PAUSED[i]))
+    return lambda bench, rng: change(timed(bench), rng)
 
 
 def _focus(log_f: Callable[[np.random.Generator], Array]) -> Change:
@@ -170,6 +177,12 @@ MISTAKES: Mapping[str, Mistake] = {
     "target turned in its holder": Mistake(_knocked(0.3, np.array([0.0, 0.0, 1.0]), True), (kinds.HELD,)),
     "camera creeps by 0.02 degrees a pose": Mistake(_creep(0.02), (kinds.CREEPS,)),
     "collimator creeps by 0.02 degrees a pose": Mistake(_creep(0.02, by_room=True), (kinds.SHIFTS,)),
+    "camera creeps by 0.01 degrees a minute, one pause": Mistake(
+        _paused(_creep(0.01, course=_PAUSED)), (kinds.CREEPS,)
+    ),
+    "collimator creeps by 0.01 degrees a minute, one pause": Mistake(
+        _paused(_creep(0.01, by_room=True, course=_PAUSED)), (kinds.SHIFTS,)
+    ),
     "camera loose by 0.05 degrees": Mistake(_turned(lambda rng: rng.normal(0, 0.05, (9, 3))), (kinds.LOOSE,)),
     "camera loose by 0.005 degrees": Mistake(
         _turned(lambda rng: rng.normal(0, 0.005, (9, 3))), (kinds.LOOSE,)
@@ -180,6 +193,9 @@ MISTAKES: Mapping[str, Mistake] = {
     "focus ring creeps by 1e-3 a pose": Mistake(_focus(lambda _: 1e-3 * _POSES), (kinds.FOCUS_CREEPS,)),
     "focus ring creeps by 3e-4 a pose": Mistake(_focus(lambda _: 3e-4 * _POSES), (kinds.FOCUS_CREEPS,)),
     "focus ring creeps by 1e-4 a pose": Mistake(_focus(lambda _: 1e-4 * _POSES), (kinds.FOCUS_CREEPS,)),
+    "focus ring creeps by 1e-4 a minute, one pause": Mistake(
+        _paused(_focus(lambda _: 1e-4 * _PAUSED)), (kinds.FOCUS_CREEPS,)
+    ),
     "focus plays by 1e-3": Mistake(_focus(lambda _: 1e-3 * (_POSES % 2)), (kinds.FOCUS_PLAYS,)),
     "pan and tilt exchanged": Mistake(_readings_of(lambda angles: angles[:, ::-1]), (kinds.EXCHANGED,)),
     "readings in gon": Mistake(_readings_of(lambda angles: angles / 0.9), (kinds.UNITS,)),

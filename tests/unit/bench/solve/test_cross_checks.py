@@ -36,26 +36,26 @@ def test_halves_differ_by_no_more_than_their_uncertainties_say_and_few_views_hav
     assert split_half_check(views[:3], quick) is None
 
 
-def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(calibration):
+def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(calibration, views):
     readings = [
         {"pan": pan + 1.0, "tilt": tilt, "pan_encoder": pan / 0.998, "tilt_encoder": tilt}
         for pan, tilt in POSES
     ]
-    check = gimbal_check(calibration, readings)
+    check = gimbal_check(calibration, views, readings)
     for axis, scale in (("pan_deg", 0.998), ("tilt_deg", 1.0)):
         assert check.scale[axis] == pytest.approx(scale, abs=4 * check.scale_sigma[axis])
     assert (check.verdict, check.agrees) == (OFF_SCALE, False)
     assert (check.slip, check.faults) == (None, [])
     assert check.pairs["count"] == 28
     assert json.loads(canonical_json(check)) == asdict(check)
-    assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None
+    assert gimbal_check(calibration, views, [{"pan": 0.0}] * len(POSES)) is None
 
 
-def test_a_slip_among_small_angles_is_stated_with_pose_and_size(calibration):
+def test_a_slip_among_small_angles_is_stated_with_pose_and_size(calibration, views):
     readings = [
         {"pan": pan, "tilt": tilt + (0.2 if index >= 5 else 0.0)} for index, (pan, tilt) in enumerate(POSES)
     ]
-    check = gimbal_check(calibration, readings)
+    check = gimbal_check(calibration, views, readings)
     (fault,) = check.faults
     assert (check.agrees, fault["pose"], fault["claimed"]) == (False, 5, True)
     assert abs(fault["size_deg"]) == pytest.approx(0.2, abs=5 * fault["sigma_deg"])

@@ -26,7 +26,11 @@ KINDS = {
 
 def model_of(bench: DrawnGimbal) -> GimbalModel:
     free = tuple(int(i) for i in np.flatnonzero(np.ptp(bench.angles, axis=0) > 0.5))
-    return GimbalModel(bench.angles, free if 3 * len(bench.angles) > 6 + len(free) else ())
+    return GimbalModel(
+        bench.angles,
+        np.linspace(0, 1, len(bench.angles)),
+        free if 3 * len(bench.angles) > 6 + len(free) else (),
+    )
 
 
 def explained(bench: DrawnGimbal) -> Explanation:
@@ -105,7 +109,10 @@ def test_derivatives_are_those_of_differences():
         Suspect(kinds.MOVED, pose=4),
         Suspect(kinds.SLIPPED, 2, 5),
     )
-    model, equal = GimbalModel(bench.angles, (0, 1, 2), suspects), np.eye(21)
+    model, equal = (
+        GimbalModel(bench.angles, np.linspace(0, 1, len(bench.angles)), (0, 1, 2), suspects),
+        np.eye(21),
+    )
     rng = np.random.default_rng(0)
     values = model.start
     values[[3, 7, 11]] = (0.02, 0.01, -0.03)
