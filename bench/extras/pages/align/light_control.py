@@ -86,14 +86,10 @@ class LightControl:
     def look(self) -> None:
         """Read whether the light is on, its settings and its faults. Never raises: a failure becomes the state."""
         with self._lock:
-            before = self.reading
             try:
-                self.reading = self._read(before.flicker)
+                self.reading = self._read(self.reading.flicker)
             except DriverError as error:
-                self.reading = replace(before, on=None, failure=Failure.of(error))
-            changed = before != self.reading
-        if changed:
-            self._on_change()
+                self.reading = replace(self.reading, on=None, failure=Failure.of(error))
 
     def row(self) -> FigureRow:
         """Return what the light does, for the page."""

@@ -49,7 +49,9 @@ class PageRequests:
         on = body.get("on")
         if on is not None and not isinstance(on, bool):
             raise UsageError("`on` must be true or false.", remedy=_AGAIN)
-        return self._session.light(on=on, **numbers)
+        control = self._session.bench.light
+        control.set(on=on, **numbers)
+        return control.as_data()
 
     def camera(self, _page: str, body: Mapping[str, Any]) -> Any:
         """Change a bias, or exposure or gain."""

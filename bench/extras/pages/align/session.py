@@ -179,12 +179,6 @@ class Session:
             with suppress(DriverError):  # the stage's state says it
                 bench.stage.stop()
 
-    def light(self, **changes: Any) -> dict[str, Any]:
-        """Change the light by the arguments of `LightControl.set`."""
-        control = self.bench.light
-        control.set(**changes)
-        return control.as_data()
-
     # ------------------------------------------------------------------ watching
 
     def _setting(self) -> LiveSetting:
@@ -232,3 +226,4 @@ class Session:
             if now_s - last_s["light"] > _LOOK_LIGHT_S and not bench.stage.moving:
                 last_s["light"] = now_s
                 bench.light.look()
+                self.changes.tell()

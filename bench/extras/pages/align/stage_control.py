@@ -209,25 +209,16 @@ class StageControl:
         if thoroughly and not self.moving:
             read |= {"homed": self._stage.is_homed(), "faults": tuple(self._stage.faults())}
         with self._lock:
-            before = self._state
             self._set(**read)
-            changed = before != self._state
-        if changed:
-            self._on_change()
 
     def look_safely(self, *, thoroughly: bool) -> None:
         """Read as `look` does; a stage that does not answer becomes the state's failure."""
+        silent = None
         try:
             self.look(thoroughly=thoroughly)
         except DriverError as error:
-            with self._lock:
-                before, self._silent = self._silent, Failure.of(error)
-                changed = before != self._silent
-        else:
-            changed = self._silent is not None
-            self._silent = None
-        if changed:
-            self._on_change()
+            silent = Failure.of(error)
+        self._silent = silent
 
     def close(self) -> None:
         """End the working thread. The stage must have been stopped before."""

@@ -51,7 +51,7 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(aligned, capsy
     asked = {}
 
     def move():
-        session.light(on=True)
+        session.bench.light.set(on=True)
         session.bench.stage.move_by({"pan": 5.0})
         wait_until(lambda: devices.stage.at["pan"] > 0)
         asked["s"] = time.monotonic()

@@ -38,7 +38,7 @@ def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened, 
         ),
     )
     wait_until(lambda: limits == [200.0])
-    session.light(waveform="sine")
+    session.bench.light.set(waveform="sine")
     wait_until(lambda: limits[-1] == 500.0)
     assert session.bench.stage.known_deg() == {"pan": 0.0, "tilt": 0.0}
     devices.stage.homed = False
@@ -162,7 +162,7 @@ def test_ready_names_what_is_not_ready(opened):
     session, devices = opened
     wait_until(lambda: session.picture().number >= 1)
     assert session.state()["not_ready"] == ["Light", "Picture"]  # what a dark picture lacks is not judged
-    session.light(on=True)
+    session.bench.light.set(on=True)
     devices.stage.homed = False
     session.bench.stage.look()
     wait_until(lambda: "Stars" in session.state()["not_ready"])
@@ -179,21 +179,21 @@ def test_a_picture_that_has_grown_old_is_not_ready(opened, monkeypatch):
 
 def test_the_light_is_read_back_and_its_range_is_kept(opened):
     session, devices = opened
-    session.light(frequency_hz=100.0)  # a value alone does not switch it on
+    session.bench.light.set(frequency_hz=100.0)  # a value alone does not switch it on
     assert not devices.light.lit
     assert "on" not in devices.light.calls
-    shown = session.light(on=True, frequency_hz=50.0, level_percent=40.0)
-    assert shown["on"] is True
-    assert shown["read_back"]["frequency_hz"] == 50
-    assert shown["read_back"]["high_v"] == pytest.approx(2.0)
+    shown = session.bench.light.set(on=True, frequency_hz=50.0, level_percent=40.0)
+    assert shown.on is True
+    assert shown.settings.frequency_hz == 50
+    assert shown.settings.high_v == pytest.approx(2.0)
     assert devices.light.calls[-1] == "on"
     before = list(devices.light.calls)
     with pytest.raises(ControlRefused, match=r"frequency_hz 20000 .* 0\.1 to 10000"):
-        session.light(frequency_hz=20_000.0)
+        session.bench.light.set(frequency_hz=20_000.0)
     with pytest.raises(ControlRefused, match="level_percent 0 is outside"):
-        session.light(level_percent=0.0)
+        session.bench.light.set(level_percent=0.0)
     assert devices.light.calls == before
-    assert session.light(on=False)["on"] is False
+    assert session.bench.light.set(on=False).on is False
 
 
 GONE = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
@@ -202,7 +202,7 @@ GONE = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
 @pytest.mark.parametrize(
     ("device", "unplugged", "plugged", "used"),
     [
-        ("light", {"lost": True}, {"lost": False}, lambda session: session.light(on=True)),
+        ("light", {"lost": True}, {"lost": False}, lambda session: session.bench.light.set(on=True)),
         ("stage", {"lost": True}, {"lost": False}, lambda session: session.bench.stage.move_by({"pan": 0.5})),
         ("camera", {"fault": GONE}, {"fault": None}, None),
     ],
@@ -241,7 +241,7 @@ def test_biases_change_between_two_slices_and_are_read_back(opened):
 
 def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opened):
     session, devices = opened
-    session.light(on=True)
+    session.bench.light.set(on=True)
     session.bench.stage.move_by({"pan": 5.0})
     confirmed = session.close()
     assert {end.device: end.state for end in confirmed} == dict.fromkeys(
@@ -306,7 +306,7 @@ def test_a_slice_holds_the_edges_of_the_light_and_a_moving_stage_makes_it_short(
         return record(path, duration_s)
 
     devices.camera.record = noted
-    session.light(on=True, frequency_hz=60.0)
+    session.bench.light.set(on=True, frequency_hz=60.0)
     wait_until(lambda: lengths.count(live_loop.PERIODS) >= 2, 9.0)
     devices.stage.step_deg = 0.005
     session.bench.stage.move_by({"pan": 5.0})

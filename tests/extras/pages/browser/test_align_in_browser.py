@@ -90,7 +90,7 @@ def test_before_home_the_page_turns_to_no_angle(chromium, bench):
 @pytest.mark.parametrize(("width", "height"), [(1400, 1000), (390, 844)], ids=["desk", "phone"])
 def test_the_picture_stays_in_view_and_stop_is_never_covered(chromium, bench, width, height):
     server, session, _ = bench
-    session.light(on=True)
+    session.bench.light.set(on=True)
     page = Tab(chromium, server.url)
     page.tab.set_viewport_size({"width": width, "height": height})
     page.wait("alignStats.images > 0")
