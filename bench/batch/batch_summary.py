@@ -181,7 +181,7 @@ def _item(
         "ledger_head": stated.ledger_head,
         "conformity": details["conformity"] if details else None,
         "goals_missed": goals_missed(details["untils"]) if details else [],
-        "causes": cause_sentences(details.get("causes", ())) if details else [],
+        "causes": cause_sentences(stated.causes),
     }
 
 

@@ -10,11 +10,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import Any, Literal, TypedDict
 
 from bench.base.errors import BenchError
 from bench.record.coverage import Estimate, estimates, parameters_data
-from bench.record.events import CauseData, DeviceData, Event, LightSettingsData, UntilDecided, Written
+from bench.record.events import (
+    CauseData,
+    DeviceData,
+    Event,
+    LightSettingsData,
+    UntilDecided,
+    VerdictData,
+    Written,
+)
 from bench.record.history import Attempt, History
 from bench.record.journal_line import Entry
 from bench.record.run_folder import PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
@@ -49,6 +57,8 @@ class IndexedRun:
     parameters: Mapping[str, Estimate] = field(default_factory=dict)  # By name
     # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
     coverage_factor: float | None = None
+    verdict: VerdictData | None = None  # Of its report; None without one
+    causes: Sequence[CauseData] = ()  # What a person did to the bench, the most probable first
     ledger_number: int | None = None  # Its number in the ledger of its bench; None for a rehearsal
     ledger_head: str | None = None  # Hash of its line in the ledger; None for a rehearsal
 
@@ -94,6 +104,8 @@ def run_facts(history: History, folder: Path) -> IndexedRun:
         rms_px=solved.get("rms_px"),
         parameters=estimates(solved),
         coverage_factor=solved.get("coverage_factor"),
+        verdict=history.verdict,
+        causes=list(solved.get("causes", ())),
         ledger_number=history.ledger.get("number"),
         ledger_head=history.ledger.get("head"),
     )
@@ -153,7 +165,6 @@ class JournalDetails(RunConditions):
     deviations: Sequence[str]
     untils: Sequence[UntilDecided]  # What each ``until`` decided, in order
     # What a person did to the bench, the most probable first; an earlier version kept none.
-    causes: NotRequired[Sequence[CauseData]]
     results_sha256: str | None  # As the journal states it
     warnings: Sequence[str]
 
@@ -194,7 +205,6 @@ def journal_details(
         "journal_head": entries[-1].hash if entries else None,
         "deviations": list(history.deviations),
         "untils": list(history.decisions),
-        "causes": list(history.solved.get("causes", ())),
         **_conditions(history),
         "results_sha256": _named_hash(entries),
         "warnings": _warnings(history, parameters),

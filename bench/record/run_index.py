@@ -37,7 +37,7 @@ from bench.record.stored_run import StoredRun
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 14  # One more whenever tables or facts change
+VERSION = 15  # One more whenever tables or facts change
 COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _ASKED_AT_ONCE = 500

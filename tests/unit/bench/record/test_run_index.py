@@ -16,6 +16,7 @@ from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
 from bench.record.run_index import RunIndex, run_folders
 from bench.solve.agreement import agreement, compare_runs
+from tests.support.running import called
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 
@@ -84,6 +85,15 @@ def test_a_journal_that_went_on_is_read_again(index, tmp_path):
     with Journal.open(path / "journal.jsonl", utc_now=lambda: DAYS[1], monotonic=lambda: 0.0) as journal:
         journal.append(Event.RUN_ENDED, how="aborted", why="")
     assert index.runs([path])[0][0].how == "aborted"
+
+
+@pytest.mark.parametrize(("kind", "shown"), [("marginal", True), ("pass", False)])
+def test_a_list_shows_the_verdict_of_a_run_that_has_reservations(tmp_path, kind, shown):
+    path = make(tmp_path / "run", ended=None)
+    with Journal.open(path / "journal.jsonl", utc_now=lambda: DAYS[1], monotonic=lambda: 0.0) as journal:
+        journal.append(Event.WRITTEN, head="", files={}, verdict={"kind": kind, "headline": "As calibrated."})
+        journal.append(Event.RUN_ENDED, how="finished", why="")
+    assert ("As calibrated." in called("runs", path, home=tmp_path / "home").stdout) == shown
 
 
 def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
