@@ -187,9 +187,9 @@ def test_a_source_that_is_not_there_is_told_in_our_words_alone(capfd):
 
 
 FAULTS = {
-    "unplug": (CameraLost, "cannot open the video source|sends no more frames"),
-    "silence": (CameraLost, "cannot open the video source|sends no more frames"),
-    "frozen": (RecordingFailed, "the camera has frozen, or sends buffered frames"),
+    "unplug": (CameraLost, "video source"),
+    "silence": (CameraLost, "video source"),
+    "frozen": (RecordingFailed, "frozen"),
 }
 
 
@@ -197,13 +197,16 @@ FAULTS = {
 def test_each_fault_of_the_camera_is_noticed_and_over_when_it_is_mended(
     simulated, camera, tmp_path, monkeypatch, fault
 ):
-    monkeypatch.setattr(frame_cameras, "SILENCE_S", 1.0)
     camera.capture(tmp_path / "before.tif", 2)
     simulated.inject_fault(fault)
     kind, words = FAULTS[fault]
     began = time.monotonic()
-    with pytest.raises(kind, match=words):
-        camera.capture(tmp_path / "during.tif", 2)
+    with (
+        monkeypatch.context() as impatient
+    ):  # where nothing is wrong, a busy computer may take longer than this
+        impatient.setattr(frame_cameras, "SILENCE_S", 1.0)
+        with pytest.raises(kind, match=words):
+            camera.capture(tmp_path / "during.tif", 2)
     assert time.monotonic() - began < 20.0
     simulated.inject_fault("mend")
     camera.capture(tmp_path / "after.tif", 2)

@@ -9,7 +9,6 @@ from station_texts import PLAIN
 from drivers.camera.raw_file import RawFile
 
 POSES = "[{pan_deg: -3, tilt_deg: 2}, {pan_deg: 3, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
-END = "  - solve: {distortion: [k1, k2]}\n  - report\n"
 
 
 def station(path, width, height, fx):
@@ -28,7 +27,7 @@ def station(path, width, height, fx):
 )
 def test_a_run_takes_the_size_of_the_sensor_from_the_camera(tmp_path, width, height, fx):
     sequence, bench = (
-        write_sequence(tmp_path / "s.yaml", POSES, end=END),
+        write_sequence(tmp_path / "s.yaml", POSES),
         station(tmp_path / "b.yaml", width, height, fx),
     )
     ended = called("run", sequence, "-s", bench, "--seed", 3, "-o", tmp_path / "run", home=tmp_path)

@@ -70,13 +70,6 @@ def test_a_notebook_reads_the_run_and_finds_its_stars_again_without_its_results(
     assert np.array_equal(again.poses[0].picture, run.poses[0].picture)
 
 
-def test_calibrating_again_from_the_run_folder_gives_the_same_numbers(finished, home):
-    answer, _, folder = finished
-    again = called("calibrate", folder, "--json", home=home)
-    assert again.returncode == 0, again.stderr
-    assert json.loads(again.stdout)["camera"] == answer["camera"]
-
-
 def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, home):
     answer, _, folder = finished
     captures = sorted((folder / "captures").iterdir())

@@ -2,13 +2,13 @@
 
 import hashlib
 import os
-import pickle
 import subprocess
 from pathlib import Path
 
 import pytest
 from expected_stars import THREE, expected_views, write_points
 from journals import CLOCKS
+from kept_calibrations import kept_calibration
 
 from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import create_key, load_key
@@ -18,7 +18,6 @@ from bench.measure.kept_views import KeptViews
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name
 from bench.record.ledger import Ledger
 from bench.record.run_folder import RunFolder
-from calib.engine import calibrate
 from tests.unit.bench.evidence.resealed import copied
 
 
@@ -52,20 +51,10 @@ def points(tmp_path_factory):
     )
 
 
-CALIBRATED = {}
-
-
 @pytest.fixture
 def calibrated_once(monkeypatch):
     """The same views with the same options are calibrated once, for all tests that ask for this."""
-
-    def once(views, options):
-        key = hashlib.sha256(pickle.dumps((list(views), options))).digest()
-        if key not in CALIBRATED:
-            CALIBRATED[key] = calibrate(views, options)
-        return CALIBRATED[key]
-
-    monkeypatch.setattr("bench.solve.solution.calibrate", once)
+    monkeypatch.setattr("bench.solve.solution.calibrate", kept_calibration)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
+from kept_calibrations import kept_calibration
 from slow_cases import first_quick
 
 from bench.again.recalculated import check_recalculated
@@ -17,7 +18,6 @@ from bench.solve.offline_folder import write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.sources import options_data, options_of_data
 from calib.boards.board import Board
-from calib.engine import calibrate
 from tests.unit.bench.evidence.attack_steps import edit
 from tests.unit.bench.evidence.resealed import Forger, copied, kinds
 
@@ -27,7 +27,8 @@ pytestmark = pytest.mark.usefixtures("calibrated_once")
 @pytest.fixture(scope="module")
 def results_once(points, tmp_path_factory, key):
     folder = tmp_path_factory.mktemp("recalculated") / "out"
-    result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
+    with mock.patch("bench.solve.solution.calibrate", kept_calibration):
+        result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
     write_offline_results(result, "out", folder, key)
     return folder
 
@@ -55,7 +56,7 @@ def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_
     """Every file of the folder follows from the others: the whole was written anew from a changed calibration."""
 
     def better(views, options):
-        calibration = calibrate(views, options)
+        calibration = kept_calibration(views, options)
         return replace(calibration, covariance=calibration.covariance / 100)
 
     with mock.patch("bench.solve.solution.calibrate", better):

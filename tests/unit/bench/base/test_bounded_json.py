@@ -7,9 +7,7 @@ import pytest
 
 import bench
 from bench.base import bounded_json
-from bench.base.bounded_json import MOST_LEVELS, parse_json
-from bench.base.errors import StorageError
-from bench.record.storage import MOST_BYTES, read_bounded, read_json
+from bench.base.bounded_json import parse_json
 
 OWN_DATA = {
     "extras/pages/align/simulated_hands.py",  # answers of the simulated bench, a process of our own
@@ -26,24 +24,6 @@ OWN_DATA = {
     "extras/pages/web/pages.py",
 }
 """Modules that parse JSON which no stranger wrote, or that bound it themselves."""
-
-
-def nested(levels, begin="[", end="]"):
-    return begin * levels + end * levels
-
-
-@pytest.mark.parametrize("kind", [str, str.encode])
-def test_what_has_a_usual_depth_is_read(kind):
-    assert parse_json(kind('{"a": [1, {"b": null}]}')) == {"a": [1, {"b": None}]}
-    assert parse_json(kind("7")) == 7
-    assert parse_json(kind(nested(MOST_LEVELS)))
-
-
-@pytest.mark.parametrize("levels", [MOST_LEVELS + 1, 1_000_000])
-@pytest.mark.parametrize(("begin", "end"), [("[", "]"), ('{"a":[', "]}")])
-def test_what_is_nested_too_deeply_is_refused_with_a_sentence(levels, begin, end):
-    with pytest.raises(ValueError, match="more than 100 levels"):
-        parse_json(nested(levels, begin, end))
 
 
 def test_too_many_values_are_refused_before_they_take_memory(monkeypatch):
@@ -67,19 +47,6 @@ def test_what_two_readers_could_read_differently_is_refused(text, what):
     for data in (text, text.encode()):
         with pytest.raises(ValueError, match=what):
             parse_json(data)
-
-
-def test_a_large_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
-    path = tmp_path / "results.json"
-    with path.open("wb") as file:
-        file.truncate(10 << 30)
-    with pytest.raises(StorageError, match=f"{MOST_BYTES} bytes"):
-        read_json(path)
-    path.write_bytes(b"[1]")
-    assert read_json(path) == [1]
-    assert read_bounded(path, 3) == b"[1]"
-    with pytest.raises(StorageError, match="more than 2 bytes"):
-        read_bounded(path, 2)
 
 
 def test_nobody_in_the_bench_parses_json_without_bounds():

@@ -10,7 +10,7 @@ from authorising import make_key, needs_ssh_keygen
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from bench.base.errors import EvidenceError, StorageError
+from bench.base.errors import EvidenceError
 from bench.base.home import home_folder
 from bench.evidence.keys import create_key, ensure_key, load_key
 from bench.evidence.public_half import load_public_key
@@ -154,15 +154,6 @@ def test_options_of_a_trusted_key_are_heeded(tmp_path, options, rejection):
 def test_a_line_that_is_not_understood_is_named(tmp_path, line):
     with pytest.raises(EvidenceError, match="signers:3: "):
         read_one(tmp_path, line)
-
-
-def test_a_list_that_is_missing_or_a_pipe_is_refused_at_once(tmp_path):
-    path = tmp_path / "signers"
-    with pytest.raises(EvidenceError, match=r"signers: .*No such file"):
-        read_signers(path)
-    os.mkfifo(path, 0o600)
-    with pytest.raises(StorageError, match="a pipe"):
-        read_signers(path)
 
 
 def test_a_further_key_is_trusted_once(tmp_path):

@@ -84,12 +84,6 @@ def test_where_ledger_mark_and_index_are_gone_a_sealed_folder_beside_shows_it(
     assert "first" in ended.stderr
 
 
-def test_a_new_bench_has_no_ledger_and_no_fault(bench, tmp_path, monkeypatch):
-    monkeypatch.setenv(HOME_VARIABLE, str(bench.ledger.home))
-    monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(cli, ["ledger"], standalone_mode=False).return_value == 0
-
-
 def test_after_a_rollback_of_everything_here_the_sealed_runs_show_it(bench, tmp_path):
     bench.run(tmp_path / "first")
     copies = {path: path.read_bytes() for path in bench.ledger.home.glob("ledger*")}
@@ -178,12 +172,6 @@ def test_a_folder_that_was_sealed_again_or_only_afterwards_is_noticed(bench, tmp
         seal(folder, bench.key)
     (fault, *_) = ledger_faults_of_run(tmp_path / "failed", bench.ledger)
     assert "failed without a seal" in fault
-
-
-def test_a_journal_written_anew_has_another_seal_than_the_ledger(bench, tmp_path):
-    bench.run(tmp_path / "run")
-    folder = written_anew(bench, tmp_path / "run", id="other")
-    assert "changed and sealed again" in ledger_faults_of_run(folder, bench.ledger)[0]
 
 
 def written_anew(bench, path, **changed):

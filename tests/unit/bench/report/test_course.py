@@ -1,8 +1,5 @@
 """The course of an `until` in the report: a row for each decision, a plot, and why it ended."""
 
-from report_sample import SMALL, sample
-
-from bench.report.html import ReportData, render_report
 from bench.report.pose_tables import courses
 from bench.report.run_tables import alerts
 from bench.wording.goals import goals_text, missed_text, reached_text
@@ -35,11 +32,6 @@ COURSE = [
 ]
 
 
-def page(untils):
-    data = sample(size=SMALL)
-    return render_report(ReportData({**data.results, "untils": untils}, (), data.journal_head))
-
-
 def test_every_decision_is_a_row_with_what_was_reached_and_what_follows():
     (course,) = courses(COURSE)
     assert course["columns"] == ["U(fx)", "U at the corners"]
@@ -60,12 +52,6 @@ def test_a_goal_that_was_not_met_is_named_before_the_values():
     assert not end.startswith("The goals are met")
     assert "Because of the lamp." in end
     assert alerts({"untils": COURSE, "calibration": {"notes": []}}) == []
-
-
-def test_one_that_a_stop_cut_off_says_so_and_names_are_escaped():
-    (course,) = courses(COURSE[:2])
-    assert course["end"] == "The step did not end."
-    assert "<script>" not in page([decided(4, 2.5, 0.4, **chosen(5, {}, "<script>"))])
 
 
 def test_a_goal_missed_by_little_is_seen_to_be_missed():

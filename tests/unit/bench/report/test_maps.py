@@ -42,15 +42,6 @@ def test_the_distortion_curve_is_brown_s_with_the_propagated_uncertainty(data):
     assert set(field_angles_deg(camera)) == {"sides", "top, bottom", "corner"}
 
 
-def test_a_fisheye_lens_is_drawn_against_its_own_ideal():
-    values = {"fx": 300.0, "fy": 300.0, "cx": 319.5, "cy": 239.5, **dict.fromkeys(("kb2", "kb3", "kb4"), 0.0)}
-    camera = camera_of({**values, "kb1": 0.01}, (640, 480))
-    shown, sigma = displacement(camera, np.diag([1e-4] * 8), np.array([0.0, 60.0]))
-    theta = np.radians(60.0)
-    np.testing.assert_allclose(shown, [0, 300 * 0.01 * theta**3], atol=1e-6)
-    assert sigma[1] > 0
-
-
 def test_stars_support_their_surroundings_only():
     distance = star_distance(np.array([[100.0, 50.0], [-3.0, 1e9]]), (400, 300))
     assert distance.shape == (300, 400)

@@ -83,15 +83,6 @@ def total(lines):
     return abs(sum(area(outline.points) for outline in lines))
 
 
-def test_a_plane_is_cut_where_it_reaches_the_level():
-    slope = np.tile(X, (len(Y), 1))
-    (half,) = outlines(X, Y, slope, 50.5)
-    assert total([half]) == pytest.approx((160 - 50.5) * 90)
-    (line,) = half.lines()
-    np.testing.assert_allclose(line[:, 0], 50.5)
-    assert sorted(line[[0, -1], 1].tolist()) == [0.0, 90.0]
-
-
 def test_a_disc_within_the_map_is_one_closed_line_and_outside_of_it_a_hole():
     distance = np.hypot(X[None] - 80, Y[:, None] - 45)
     (disc,) = outlines(X, Y, -distance, -30.0)

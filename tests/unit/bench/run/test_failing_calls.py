@@ -7,13 +7,13 @@ from failing_calls import assert_each_call_may_fail, try_in_process
 from failing_works import COMMANDS, GOING_ON, OTHERS
 
 PROGRAM = Path(__file__).parents[3] / "support" / "failing_works.py"
-SOME = {"target": (6, 5), "passport show --seal": (4, 5), "ledger": (5, 29), "keys": (2, 9)}
+SOME = {"target": (6, 15), "passport show --seal": (4, 15), "ledger": (5, 87), "keys": (2, 27)}
 """First call and step of the works that are tried here; each call of every work is slow."""
 
 
 def test_whichever_of_some_calls_fails_or_kills_the_same_command_works_again(tmp_path):
     count, ended = try_in_process(PROGRAM, tmp_path, SOME)
-    assert (ended.returncode, count >= 20) == (0, True), ended.stdout + ended.stderr
+    assert (ended.returncode, count >= 10) == (0, True), ended.stdout + ended.stderr
 
 
 @pytest.mark.slow

@@ -59,14 +59,6 @@ def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path, c
     assert capsys.readouterr().out.splitlines()[0] == missed
 
 
-def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
-    scene = until_scene(tmp_path, f"{{expanded_fx_px: 500, worst_corner_px: 500, start: {THREE}}}")
-    assert scene.run().how == "finished"
-    (decision,) = decisions(scene)
-    assert decision["ended"] == "met"
-    assert "chosen" not in decision
-
-
 def test_cut_off_before_and_after_its_decision_it_goes_on_with_the_same_poses(tmp_path):
     whole = until_scene(tmp_path / "whole", NEVER)
     whole.run()
