@@ -57,7 +57,7 @@ class BatchMessages:
             return
         name, how, why = summary["queue"], summary["how"], summary["why"]
         what = f"{how}{': ' if why else ''}{why}"
-        text = "\n".join(summary_lines(summary))
+        text = "\n".join(summary_lines(summary, folder))
         for messages in self._stations:
             self._courier.write(
                 messages,

@@ -15,7 +15,7 @@ from bench.base.errors import BenchError
 from bench.base.pasteable import pasteable
 from bench.batch.batch_plan import durations
 from bench.batch.batch_record import BatchRecord, UpcomingRun, look_ahead
-from bench.batch.batch_summary import RUNS, missed_goals, read_batch
+from bench.batch.batch_summary import RUNS, missed_goals, read_batch, to_go_on
 from bench.record.device_end import NO_END
 from bench.record.folder_lock import is_locked, resume_process, suspended_process
 from bench.record.run_folder import JOURNAL
@@ -189,13 +189,15 @@ def batch_status_text(status: BatchStatus) -> str:
         lines.append(resume_process(suspended))
     elif status.end is not None and status.running:
         lines.append(f"Expected end: {_clock(status.end, status.zone, day=True)}")
-    if not status.running and status.ended != "finished":
+    if status.running or status.ended == "finished":
+        pass
+    elif status.rehearsal:
+        lines.append("A rehearsal cannot be continued.")
+    elif status.ended == "failed":
+        lines += to_go_on(Path(status.folder), (run.item for run in status.done if run.how != "finished"))
+    else:
         again = pasteable("batch", status.file or "QUEUE", "--output", status.folder)
-        lines.append(
-            "A rehearsal cannot be continued."
-            if status.rehearsal
-            else f"No process works on it. To continue: {again}"
-        )
+        lines.append(f"No process works on it. To continue: {again}")
     return "\n".join(lines)
 
 

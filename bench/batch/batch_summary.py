@@ -6,12 +6,13 @@ Made from the batch's journal and those of its runs, as ``summary.json`` and ``s
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
 from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError, RunFolderError
+from bench.base.pasteable import pasteable
 from bench.batch.batch_record import BatchRecord, Requested, RunState, by_priority, replay_batch
 from bench.charts.chart_findings import find_charts, needs_attention
 from bench.charts.chart_groups import group_runs
@@ -243,8 +244,8 @@ def missed_goals(run: Path) -> tuple[str, ...]:
         return ()
 
 
-def summary_lines(summary: BatchSummary) -> Iterator[str]:
-    """Return the end of a batch, its runs, and means with their U."""
+def summary_lines(summary: BatchSummary, folder: Path) -> Iterator[str]:
+    """Return the end of a batch in a folder, its runs, means with their U, and how runs without a result go on."""
     how = summary["how"] or "not ended"
     rehearsal = "REHEARSAL of batch" if summary["rehearsal"] else "Batch"
     yield f"{rehearsal} {batch_name(summary)}: {how}{': ' if summary['why'] else ''}{summary['why']}"
@@ -258,6 +259,15 @@ def summary_lines(summary: BatchSummary) -> Iterator[str]:
         yield from _mean_lines(camera)
     for group in filter(needs_attention, summary["charts"]["groups"]):
         yield f"{group['title']}: {group['verdict']}"
+    if summary["how"] == "failed" and not summary["rehearsal"]:
+        yield from to_go_on(folder, (item["item"] for item in summary["items"] if item["how"] != "finished"))
+
+
+def to_go_on(folder: Path, runs: Iterable[str]) -> list[str]:
+    """Return how runs without a result go on, once the cause is removed: their batch begins none of them again."""
+    begun = [folder / RUNS / run for run in runs if (folder / RUNS / run / JOURNAL).exists()]
+    commands = [f"  {pasteable('resume', run.absolute())}" for run in begun]
+    return ["When the cause is removed, these runs go on:", *commands] if begun else []
 
 
 def batch_name(summary: BatchSummary) -> str:

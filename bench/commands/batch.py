@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,6 @@ import click
 from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
-from bench.base.pasteable import pasteable
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, command
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, show, wants_json
 from bench.commands.values import WholeNumber
@@ -111,25 +109,11 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int) -> in
     return status
 
 
-def _to_go_on(folder: Path, summary: BatchSummary) -> Iterator[str]:
-    """Yield how the runs that have no result go on, once the cause is removed: the batch begins none of them again."""
-    from bench.batch.batch_summary import RUNS
-    from bench.record.run_folder import JOURNAL
-
-    unfinished = [
-        item["item"] for item in summary["items"] if item["how"] not in {"", "finished", "withdrawn"}
-    ]
-    runs = [folder / RUNS / name for name in unfinished if (folder / RUNS / name / JOURNAL).exists()]
-    if runs and summary["how"] == "failed" and not summary["rehearsal"]:
-        yield "When the cause is removed, these runs go on:"
-        yield from (f"  {pasteable('resume', run.absolute())}" for run in runs)
-
-
 def show_summary(folder: Path, summary: BatchSummary) -> int:
     """Print a batch's end; exit status 0 every run has a result, 3 stopped, 4 a limit is not kept, else 1."""
     from bench.batch.batch_summary import PAGE, summary_lines
 
-    show(summary, [*summary_lines(summary), *_to_go_on(folder, summary), f"Summary: {folder / PAGE}"])
+    show(summary, [*summary_lines(summary, folder), f"Summary: {folder / PAGE}"])
     if summary["how"] == "finished" and any(item["conformity"] == "FAIL" for item in summary["items"]):
         return NOT_KEPT
     return {"finished": 0, "aborted": STOPPED}.get(summary["how"], 1)

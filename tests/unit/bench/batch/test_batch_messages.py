@@ -77,13 +77,18 @@ def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, message
     assert "stage: confirmed safe" in delivery.message.text
 
 
-def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, capsys):
+def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, outbox, messages, capsys):
     begun = tmp_path / "cam 2" / "runs" / "cam-001"
     begun.mkdir(parents=True)
     (begun / "journal.jsonl").touch()
     items = [item(name, "failed") for name in ("cam-001", "never-begun")]
-    show_summary(tmp_path / "cam 2", summary(*items, item("cam-003"), how="failed"))
+    ended = summary(*items, item("cam-003"), how="failed")
+    show_summary(tmp_path / "cam 2", ended)
     printed = capsys.readouterr().out
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(ended, tmp_path / "cam 2", "a" * 64)
+    ((_, delivery),) = outbox.deliveries()
+    assert delivery.message.text in printed
     assert f"  starbench resume '{begun}'\n" in printed
     assert printed.count("resume") == 1
 
