@@ -79,8 +79,8 @@ format: $(VENV)/installed-dev ## put the code into its form
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: $(VENV)/installed-dev ## speeds, beside those of peers (never part of the tests)
-	for speed in convert evt3 fit pixels; do $(BIN)/python tests/benchmarks/bench_$$speed.py || exit 1; done
+bench: $(VENV)/installed-dev ## speeds (never part of the tests)
+	for speed in convert fit pixels; do $(BIN)/python tests/benchmarks/bench_$$speed.py || exit 1; done
 
 table1: $(VENV)/installed-dev ## methods compared where the truth is known: about an hour of two cores; Ctrl-C, and it continues
 	@$(PIP_COMPILED) 'optiland>=0.6' || echo "note: optiland is not to be had here; the collimators of strangers are left out"

@@ -1,49 +1,52 @@
-"""Speed of `convert`, beside an earlier version in the same minutes: CPU seconds and real seconds.
+"""Speed of `convert`, in events per CPU second, and the sizes of what it makes.
 
-    python tests/benchmarks/bench_convert.py [--recording FILE]... [--repeated FILE] [--events 20] [--rounds 3]
-        [--old FOLDER] [--write]
+    python tests/benchmarks/bench_convert.py [--repeated FILE] [--events 20] [--rounds 3] [--write]
 
-The recordings are those of `bench_evt3.py`, with more events (millions), and any recordings of a real camera; one of
-them is repeated to a gigabyte, with the clock going on. The versions
-take turns, each in processes of its own, which convert once without a clock and then some times with it. The memory is the
-largest of a process. An earlier version that cannot write a format has no numbers there.
+Three recordings as an IMX636 sends them, of so many million events: sparse (single events, the clock dominates), flicker
+(about 1.8 bytes an event, as in the published comparisons) and dense (vectors nearly full). A recording of a real camera
+is repeated to a gigabyte, with the clock going on. Each is converted once without a clock, and then some times with it.
 """
 
 from __future__ import annotations
 
-import json
-import resource
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
 
-import bench_evt3
 import measured
 import numpy as np
 
+from drivers.camera.formats.event_conversion import convert
 from drivers.camera.raw_file import RawFile
+from simulators.pixels.evt3_writer import Evt3Writer
 
 KINDS = {"hdf5": "plain HDF5", "metavision": "Metavision's HDF5", "parquet": "Parquet"}
-
-
-TURNS = 2
-"""Number of processes for each version and recording."""
-
-
+HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% end\n"
+SCENES = {"sparse": (0.0008, 1.0), "flicker": (0.12, 16.0), "dense": (0.6, 60.0)}
+"""Share of a row's pixels that fire in one read, and events a microsecond."""
 LARGE_BYTES = 1_000_000_000
 _TIME_HIGH = 0x8
 """Type of the words of EVT3 with the upper 12 of 24 bits of the clock."""
 
 
-class Conversion(NamedTuple):
-    """What a conversion took, and what it made."""
-
-    cpu_s: float
-    real_s: float
-    events: int
-    bytes: int
-    memory_mb: float
+def write_scene(path: Path, least_events: int, density: float, rate_mev_s: float) -> None:
+    """Write a recording of rows read one after the other, each with randomly placed events."""
+    rng = np.random.default_rng(7)
+    rows_at_once = 2000
+    writer = Evt3Writer()
+    begin, written = 0.0, 0
+    with path.open("wb") as file:
+        file.write(HEADER)
+        while written < least_events:
+            fired = rng.random((rows_at_once, 1280)) < density
+            read, x = np.nonzero(fired)
+            gap_us = max(1280 * density, 1.0) / rate_mev_s
+            t = np.floor(begin + read * gap_us).astype(np.int64)
+            begin += rows_at_once * gap_us
+            y, p = (read * 7 % 720).astype(np.uint16), (read // 360 % 2).astype(np.uint8)
+            words = writer.write(t, x.astype(np.uint16), y, p, until_us=int(np.floor(begin)))
+            file.write(words.tobytes())
+            written += len(t)
 
 
 def write_repeated(path: Path, source: Path) -> None:
@@ -60,100 +63,38 @@ def write_repeated(path: Path, source: Path) -> None:
             file.write(words.tobytes())
 
 
-def convert_again(source: Path, kind: str, rounds: int) -> list[Conversion]:
-    """Convert a file once without a clock, which warms up, and then so many rounds with one."""
-    from drivers.camera.formats.event_conversion import convert
-
-    conversions = []
-    with tempfile.TemporaryDirectory() as folder:
-        for number in range(rounds + 1):
-            target = Path(folder) / f"{number}"
-            cpu_s, real_s = time.process_time(), time.perf_counter()
-            summary = convert(source, target, kind)
-            took = time.process_time() - cpu_s, time.perf_counter() - real_s
-            memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            if number:
-                conversions.append(Conversion(*took, summary.events, target.stat().st_size, memory_mb))
-            target.unlink()
-    return conversions
-
-
-def convert_all(source: Path, rounds: int) -> dict[str, list[Conversion]]:
-    """Convert a file to each kind that this version can write."""
-    from drivers.camera.formats.event_conversion import KINDS as CAN_BE_WRITTEN
-
-    return {kind: convert_again(source, kind, rounds) for kind in KINDS if kind in CAN_BE_WRITTEN}
-
-
-def in_version(folder: Path, source: Path, rounds: int) -> dict[str, list[Conversion]]:
-    """Let the packages of a checkout convert a file."""
-    text = measured.in_checkout(folder, "--one", str(source.resolve()), "--rounds", str(rounds))
-    return {
-        kind: [Conversion(*fields) for fields in conversions]
-        for kind, conversions in json.loads(text).items()
-    }
+def cell_of(source: Path, kind: str, rounds: int, folder: Path) -> str:
+    """Convert a file; return millions of events per CPU second, and bytes an event."""
+    target, times_s = folder / "made", []
+    for number in range(rounds + 1):
+        begun = time.process_time()
+        events = convert(source, target, kind).events
+        if number:
+            times_s.append(time.process_time() - begun)
+        size = target.stat().st_size
+        target.unlink()
+    return f"{events / 1e6 / measured.spread(times_s).median_s:.0f}; {size / events:.2f}"
 
 
 def main() -> None:
-    """Print a table: a row for each recording, format and version."""
+    """Print a table: a row for each format, a column for each recording."""
     parser = measured.options(__doc__)
-    parser.add_argument("--recording", type=Path, action="append", default=[])
     parser.add_argument("--repeated", type=Path, help="a RAW file of a real camera, repeated to a gigabyte")
-    parser.add_argument(
-        "--events", type=float, default=20.0, help="millions of each drawn recording; 0: none"
-    )
+    parser.add_argument("--events", type=float, default=20.0, help="millions of each drawn recording")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--old", type=Path, help="checkout of an earlier version")
-    parser.add_argument("--one", type=Path, help="convert this file only (for this program's own use)")
     options = parser.parse_args()
-    if options.one:
-        print(json.dumps(convert_all(options.one, options.rounds)))
-        return
-    versions = {**({"before": options.old} if options.old else {}), "now": measured.ROOT}
-    print(
-        "| recording, format | version | Mev per CPU s, 95 % | Mev/s real, 95 % | ratio of CPU times |"
-        " bytes an event | memory |\n| --- | --- | ---: | ---: | ---: | ---: | ---: |"
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        paths = {path.name: path for path in options.recording}
-        bench_evt3.EVENTS = int(1e6 * options.events)
-        for name, scene in bench_evt3.SCENES.items() if options.events else ():
-            paths[name] = Path(folder) / f"{name}.raw"
-            bench_evt3.write_scene(paths[name], *scene)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        paths = {scene: folder / f"{scene}.raw" for scene in SCENES}
+        for scene, path in paths.items():
+            write_scene(path, int(1e6 * options.events), *SCENES[scene])
         if options.repeated:
-            name = f"{options.repeated.stem}, 1 GB"
-            paths[name] = Path(folder) / "repeated.raw"
-            write_repeated(paths[name], options.repeated)
-        for name, path in paths.items():
-            taken: dict[str, dict[str, list[Conversion]]] = {version: {} for version in versions}
-            for version, where in [*versions.items()] * TURNS:
-                for kind, conversions in in_version(where, path, options.rounds).items():
-                    taken[version].setdefault(kind, []).extend(conversions)
-            for kind, shown in KINDS.items():
-                show(
-                    f"{name}, {shown}",
-                    {version: of_kinds.get(kind, []) for version, of_kinds in taken.items()},
-                )
-
-
-def show(what: str, taken: dict[str, list[Conversion]]) -> None:
-    """Print the rows of a recording and a format."""
-    before = None
-    for version, conversions in taken.items():
-        if not conversions:
-            print(f"| {what} | {version} | cannot | | | | |", flush=True)
-            continue
-        cpu, real = (
-            measured.spread(conversion.cpu_s for conversion in conversions),
-            measured.spread(conversion.real_s for conversion in conversions),
-        )
-        ratio = f"{cpu.median_s / before.median_s:.2f}" if before else ""
-        before = before or cpu
-        print(
-            f"| {what} | {version} | {cpu.rates(conversions[0].events / 1e6)} | {real.rates(conversions[0].events / 1e6)} |"
-            f" {ratio} | {conversions[0].bytes / conversions[0].events:.2f} | {max(conversion.memory_mb for conversion in conversions):.0f} MB |",
-            flush=True,
-        )
+            paths["real, 1 GB"] = folder / "repeated.raw"
+            write_repeated(paths["real, 1 GB"], options.repeated)
+        print(f"| Mev per CPU s; bytes an event | {' | '.join(paths)} |\n|{' --- |' * (1 + len(paths))}")
+        for kind, shown in KINDS.items():
+            cells = [cell_of(path, kind, options.rounds, folder) for path in paths.values()]
+            print(f"| {shown} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -9,9 +9,7 @@ which other work on the computer hardly changes, and its 95th percentile. The sc
 
 from __future__ import annotations
 
-import itertools
 import resource
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -21,18 +19,12 @@ from typing import Any, NamedTuple
 import measured
 from measured import Spread
 
-from bench.base.program import forms
-from bench.evidence.keys import create_key
-from bench.measure.kept_views import pack_view
 from bench.measure.measure import measure
 from bench.record.storage import sha256_of
 from bench.solve.offline import calibrate_sources
 from bench.solve.offline_folder import offline_files
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
-from bench.work.places import Place
-from bench.work.results_folders import ResultsFolders
-from bench.work.tasks import Task, list_recordings
 from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
 
@@ -50,8 +42,6 @@ class Costs(NamedTuple):
     files_s: float
     recording_mb: float
     events_m: float
-    view_kb: float
-    results_mb: float
     memory_mb: float
     program_mb: float
 
@@ -72,55 +62,35 @@ def main() -> None:
     rounds = options.rounds
     poses = len(sources)
     paths = [source.path for source in sources]
-    found_s, checked_s = measured.cpu_times_in_turns(
-        rounds, lambda: [source.read() for source in sources], lambda: [_check(path) for path in paths]
-    )
     pose = {
         "hash of the recording": measured.cpu_times(rounds, lambda: [sha256_of(path) for path in paths])
         / poses,
         "decoding": measured.cpu_times(rounds, lambda: [_decode(path) for path in paths]) / poses,
-        "finding the stars, decoding included": measured.spread(found_s) / poses,
-        "check in a run: stars, motion, edge width, flicker": measured.spread(checked_s) / poses,
+        "finding the stars, decoding included": measured.cpu_times(
+            rounds, lambda: [source.read() for source in sources]
+        )
+        / poses,
+        "check in a run: stars, motion, edge width, flicker": measured.cpu_times(
+            rounds, lambda: [_check(path) for path in paths]
+        )
+        / poses,
     }
-    check = measured.spread(later / before for later, before in zip(checked_s, found_s, strict=True))
     run = {
         "fit, the run's own model": measured.cpu_times(
             rounds, lambda: calibrate_sources(given, OfflineOptions())
         ),
-        "fit, spherical, no passport": measured.cpu_times(
-            rounds, lambda: calibrate_sources(given, OfflineOptions(model="spherical", without_passport=True))
-        ),
         "results, report, exports": measured.cpu_times(rounds, lambda: offline_files(result, "costs")),
     }
-    task = Task(OfflineOptions(), forms()["program"], "")
-    with tempfile.TemporaryDirectory() as folder:
-        made = offline_files(result, "costs")
-        with ResultsFolders(Path(folder) / "out", create_key(Path(folder) / "key")) as output:
-            numbers = itertools.count()
-            row = {"folder": "", "state": "done", "key": "", "results": "", "results_sha256": ""}
-
-            def write() -> None:
-                n = next(numbers)
-                output.write(f"run-{n}", made, {**row, "folder": str(n)})
-
-            command = {
-                "list a run": measured.cpu_times(
-                    rounds, lambda: list_recordings(Place(str(options.run)), task)
-                ),
-                "write and seal its results": measured.cpu_times(rounds, write),
-            }
     costs = Costs(
         find_s=pose["hash of the recording"].median_s + pose["finding the stars, decoding included"].median_s,
         fit_s=run["fit, the run's own model"].median_s,
         files_s=run["results, report, exports"].median_s,
         recording_mb=sum(path.stat().st_size for path in paths) / poses / 1e6,
         events_m=sum(_decode(path) for path in paths) / poses / 1e6,
-        view_kb=sum(len(pack_view(view, "0" * 64)) for view in views) / poses / 1e3,
-        results_mb=sum(len(data) for data in offline_files(result, "costs").values()) / 1e6,
         memory_mb=_peak_mb(),
         program_mb=before_mb,
     )
-    _print_parts(pose, check, run, command, poses)
+    _print_parts(pose, run, poses)
     _print_sizes(costs)
     _print_sums(costs, paths, options.scaling)
 
@@ -144,28 +114,17 @@ def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def _print_parts(
-    pose: dict[str, Spread],
-    check: Spread,
-    run: dict[str, Spread],
-    command: dict[str, Spread],
-    poses: int,
-) -> None:
+def _print_parts(pose: dict[str, Spread], run: dict[str, Spread], poses: int) -> None:
     print("| work | CPU time | 95 % |\n| --- | ---: | ---: |")
     for what, took in pose.items():
         print(f"| a pose: {what} | {took.cells(3)} |")
-    print(f"| a pose: this check, times the finding | {check.median_s:.2f} | {check.p95_s:.2f} |")
     for what, took in run.items():
         print(f"| a run of {poses} poses: {what} | {took.cells(2)} |")
-    for what, took in command.items():
-        print(f"| the command itself: {what} | {took.cells(3)} |")
 
 
 def _print_sizes(costs: Costs) -> None:
     print("\n| size | |\n| --- | ---: |")
     print(f"| a recording | {costs.recording_mb:.2f} MB, {costs.events_m:.2f} million events |")
-    print(f"| a kept view | {costs.view_kb:.1f} kB |")
-    print(f"| the results of a run, written | {costs.results_mb:.2f} MB |")
     print(
         f"| memory of a worker, largest | {costs.memory_mb:.0f} MB"
         f" ({costs.program_mb:.0f} MB of it are the program) |"

@@ -1,9 +1,8 @@
 """From a fault of a simulated device to its line in the journal, to a message, and to the end of the run.
 
-    python tests/benchmarks/bench_fault_times.py [--devices KIND] FOLDER [FAULT ...]
+    python tests/benchmarks/bench_fault_times.py FOLDER [FAULT ...]
 
-FOLDER is new. KIND is a kind of stage, ``flir_ptu`` or ``thorlabs_apt``, with a microcontroller light;
-without it, Zaber stages and a function generator. A real run in a process of its own uses a simulated bench in another process. The fault is ordered while
+FOLDER is new. A real run in a process of its own uses a simulated bench in another process. The fault is ordered while
 pose 2 is at work; a mail server in this process receives the messages. Prints a row for each fault: seconds after the
 order, and what was told. The load of the computer stands in the last line.
 """
@@ -24,7 +23,6 @@ import measured
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, STARBENCH, entering, environment, journal, start
 from servers import MailServer, serving
-from station_texts import without
 
 POSES = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
 FAULTS = {
@@ -48,25 +46,6 @@ FAULTS = {
     "camera frames_lost count=3": "recording",
 }
 """The order, and the state of pose 2 in which it is given."""
-RAMP = "speed_deg_s: 90, acceleration_deg_s2: 2000"
-STAGES = {
-    "flir_ptu": f"""stage:
-  driver: text
-  protocol: flir_ptu
-  port: sim:gimbal
-  axes:
-    pan: {{address: P, counts_per_deg: 800, limits_deg: [-15, 15], {RAMP}}}
-    tilt: {{address: T, counts_per_deg: 800, limits_deg: [-10, 10], {RAMP}}}
-""",
-    "thorlabs_apt": f"""stage:
-  driver: thorlabs_apt
-  axes:
-    pan: {{port: sim:gimbal-pan, serial: "100101", counts_per_deg: 136533.333, limits_deg: [-15, 15], {RAMP}}}
-    tilt: {{port: sim:gimbal-tilt, serial: "100102", counts_per_deg: 136533.333, limits_deg: [-10, 10], {RAMP}}}
-""",
-}
-"""Sections of a station file, by the kind of simulated stage."""
-LIGHT = "light: {driver: text, protocol: microcontroller_light, port: sim:light}\n"
 
 
 @dataclass
@@ -116,20 +95,11 @@ def told_by(lines: list[dict], since: int) -> str:
     return ""
 
 
-def with_devices(station: Path, kind: str) -> None:
-    """Give a station other devices."""
-    text = without(station.read_text(), "stage", "light") + STAGES[kind] + LIGHT
-    kinds = f"simulation: {{stage: {{kind: {kind}}}, light: {{kind: microcontroller}}, "
-    station.write_text(text.replace("simulation: {", kinds))
-
-
-def measure(folder: Path, fault: str, state: str, kind: str | None) -> str:
+def measure(folder: Path, fault: str, state: str) -> str:
     """Do a run with one fault; return its row."""
     folder.mkdir()
     with serving(MailServer()) as server:
         station = write_station(folder / "station.yaml", server.section)
-        if kind is not None:
-            with_devices(station, kind)
         bench = Bench.started(station, folder / "home")
         try:
             text = "\n".join(
@@ -175,14 +145,11 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("faults", nargs="*", default=list(FAULTS))
-    parser.add_argument("--devices", choices=list(STAGES))
     given = parser.parse_args()
     given.folder.mkdir(parents=True)
     print(f"{'fault':28}{'in state':10} journal message     end  how       what")
     for number, fault in enumerate(given.faults):
-        line = "gimbal-pan" if given.devices == "thorlabs_apt" else "gimbal"
-        order = fault.replace("gimbal", line)
-        print(measure(given.folder / f"{number:02}", order, FAULTS[fault], given.devices), flush=True)
+        print(measure(given.folder / f"{number:02}", fault, FAULTS[fault]), flush=True)
     print(json.dumps({"load": os.getloadavg()}))
 
 

@@ -1,12 +1,11 @@
-"""Compare forecasts with calibrations of drawn benches: expected against stated uncertainty, and against the errors.
+"""Compare forecasts with calibrations of drawn benches: expected against stated uncertainty.
 
     python tests/benchmarks/bench_forecast.py [--profiles S1 S3 ...] [--poses 3 9 25] [--asked radial ...] [--seeds 200-202]
 
 Each row is a profile of the collimator, a number of poses, and what is known besides the views. ``radial``: nothing.
 ``certificate``: r = 255 +- .05 mm. ``readings``: readings of the gimbal of .002 degrees, with the bounds of their
-parallax; S1 and S2 have none, so readings do not enter there. ``both``: certificate and readings. Columns: expected U(fx); median of the stated U(fx) and
-their ratio; the same for the largest U at the corners; root mean square of the errors of fx, and how many times larger
-the expected U is. The last line counts the rows with a forecast within a factor of 2.
+parallax; S1 and S2 have none, so readings do not enter there. ``both``: certificate and readings. Of each row, the ratios of
+expected to median stated U are counted.
 
 The sizes of the collimator's errors were set by hand, after the ``rms_px`` of nine-pose calibrations with the seeds 0
 and 1. The rows use other seeds. A laboratory takes its size from a finished run.
@@ -14,9 +13,9 @@ and 1. The rows use other seeds. A laboratory takes its size from a finished run
 
 from __future__ import annotations
 
-import time
+import sys
 from dataclasses import replace
-from typing import Any
+from itertools import product
 
 import measured
 import numpy as np
@@ -47,7 +46,7 @@ BOUNDS = {
     "like-bench": ParallaxBound(0.066, 0.01, 2.0, 0.5),
 }
 ASKED = ("radial", "certificate", "readings", "both")
-FACTOR = 2.0
+FACTOR = 1.5
 
 
 def known(asked: str, profile: str) -> tuple[Passport | None, GimbalReadings | None]:
@@ -75,34 +74,27 @@ def expected(profile: str, poses: int, asked: str) -> Forecast:
     return forecast(bench, [{f"{axis}_deg": angle for axis, angle in pose.items()} for pose in POSES[poses]])
 
 
-def stated(drawn: DrawnBench, profile: str, asked: str) -> tuple[float, float, float]:
-    """Expanded uncertainties of fx and at the corners that the engine states, and the error of fx, px."""
+def stated(drawn: DrawnBench, profile: str, asked: str) -> tuple[float, float]:
+    """Expanded uncertainties of fx and at the corners that the engine states, px."""
     passport, readings = known(asked, profile)
     if readings is not None:
         readings = replace(readings, angles_deg=tuple(drawn.readings_deg))
     result = calibrate(drawn.views, CalibrationOptions(passport=passport, gimbal=readings))
     numbers = limited_numbers(result)
-    return numbers["expanded_fx"], numbers["worst_corner"], result.camera.fx - drawn.truth.camera.fx
+    return numbers["expanded_fx"], numbers["worst_corner"]
 
 
-def row(profile: str, poses: int, asked: str, seeds: range) -> dict[str, Any]:
-    began = time.process_time()
-    forecast = expected(profile, poses, asked)
+def row(profile: str, poses: int, asked: str, seeds: range) -> tuple[float, float]:
+    """Return expected over median stated U, of fx and at the worst corner."""
+    planned = expected(profile, poses, asked).limited
     solved = []
     for seed in seeds:
         try:
             solved.append(stated(draw_bench(profile, POSES[poses], seed), profile, asked))
         except CalibrationError as error:
-            print(f"  {profile} {poses} {asked}, seed {seed}: {error}")
-    fx, corner, errors = np.array(solved).T if solved else np.full((3, 1), np.nan)
-    return {
-        "expected": forecast.limited["expanded_fx"],
-        "stated": float(np.median(fx)),
-        "expected_corner": forecast.limited["worst_corner"],
-        "stated_corner": float(np.median(corner)),
-        "error": float(np.sqrt(np.mean(errors**2))),
-        "cpu_s": time.process_time() - began,
-    }
+            print(f"  {profile} {poses} {asked}, seed {seed}: {error}", file=sys.stderr)
+    fx, corner = np.median(solved, axis=0) if solved else (np.nan, np.nan)
+    return planned["expanded_fx"] / fx, planned["worst_corner"] / corner
 
 
 def main() -> None:
@@ -112,28 +104,20 @@ def main() -> None:
     parser.add_argument("--asked", nargs="+", default=list(ASKED), choices=ASKED)
     parser.add_argument("--seeds", type=measured.seeds, default="200-202")
     given = parser.parse_args()
-    print(
-        f"{'profile':<11}{'poses':>5}  {'asked':<12}{'U(fx)':>8}{'stated':>8}{'ratio':>7}"
-        f"{'corner':>8}{'stated':>8}{'ratio':>7}{'error':>8}{'U/error':>9}{'CPU':>7}"
-    )
-    within = rows = 0
-    for poses in given.poses:
-        for profile in given.profiles:
-            for asked in given.asked:
-                cells = row(profile, poses, asked, given.seeds)
-                ratio, corner = (
-                    cells["expected"] / cells["stated"],
-                    cells["expected_corner"] / cells["stated_corner"],
-                )
-                rows, within = rows + 1, within + (1 / FACTOR <= ratio <= FACTOR)
-                print(
-                    f"{profile:<11}{poses:>5}  {asked:<12}{cells['expected']:>8.2f}{cells['stated']:>8.2f}{ratio:>7.2f}"
-                    f"{cells['expected_corner']:>8.3f}{cells['stated_corner']:>8.3f}{corner:>7.2f}"
-                    f"{cells['error']:>8.2f}{cells['expected'] / cells['error']:>9.2f}{cells['cpu_s']:>7.1f}",
-                    flush=True,
-                )
-    print(f"{within} of {rows} forecasts of U(fx) are within a factor of {FACTOR:g} of the stated one.")
+    ratios = []
+    for poses, profile, asked in product(given.poses, given.profiles, given.asked):
+        ratios.append(ratio := row(profile, poses, asked, given.seeds))
+        print(
+            f"{profile:<11}{poses:>5}  {asked:<12}{ratio[0]:>7.2f}{ratio[1]:>7.2f}",
+            file=sys.stderr,
+            flush=True,
+        )
+    apart = np.exp(np.abs(np.log(ratios)))
+    fx, corner = (apart <= FACTOR).sum(axis=0)
+    print(f"| {len(ratios)} forecasts | fx | corner |\n| --- | --- | --- |")
+    print(f"| within a factor of {FACTOR:g} | {fx} | {corner} |")
+    print("| largest factor | {:.2f} | {:.2f} |".format(*apart.max(axis=0)))
 
 
 if __name__ == "__main__":
-    main()
+    measured.run(main, "truth", "Forecasts")

@@ -3,7 +3,7 @@
     python tests/benchmarks/bench_kills.py [--kills 12] [--batch 12] [--write]
 
 All but a batch work in a child, with virtual devices on a virtual clock; a batch is the command itself on
-simulated benches, whose supervisor is killed, and the time is taken until its worker has ended too.
+simulated benches, whose supervisor is killed; its worker ends too.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import json
 import os
 import random
 import signal
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -28,6 +27,7 @@ from certificate_lab import FIRST, Lab
 from quick_runs import write_sequence, write_station
 from running import has_ended, journal, starbench, start
 from virtual_bench import VirtualBench
+from waiting import wait_until
 
 from bench.record.storage import sha256_of
 
@@ -151,20 +151,12 @@ def kills_of(kind: type[ARun | ACertificate], kills: int, folder: Path, chance: 
             fallen.append(repr(error)[:500])
     for text in fallen:
         print(f"{kind.name}: {text}", file=sys.stderr)
-    return f"| {kind.name} | {killed} | {killed - len(fallen)} | {len(fallen)} | |"
+    return f"| {kind.name} | {killed} | {killed - len(fallen)} | {len(fallen)} |"
 
 
 def children(pid: int) -> list[int]:
     """Return the processes that a process has begun."""
     return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def seconds_alone(workers: list[int]) -> float:
-    """Wait until no worker of a batch is left; return how long that took."""
-    begun = time.monotonic()
-    while not all(map(has_ended, workers)) and time.monotonic() - begun < ALONE_S:
-        time.sleep(0.02)
-    return time.monotonic() - begun
 
 
 def batch(kills: int, folder: Path, chance: random.Random) -> str:
@@ -175,7 +167,7 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
     jobs = [JOB.format(number=k, sequence=sequence, station=station) for k in range(JOBS)]
     queue.write_text(QUEUE + "".join(jobs))
     stored: dict[Path, list[str]] = {}
-    killed, alone_s, fallen = 0, [], []
+    killed, fallen = 0, []
     while True:
         process = start("batch", queue, "-o", night, home=home)
         if killed < kills:
@@ -185,8 +177,7 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
                 workers = children(process.pid)
                 process.kill()
                 killed += 1
-                if workers:
-                    alone_s.append(seconds_alone(workers))
+                wait_until(lambda workers=workers: all(map(has_ended, workers)), ALONE_S)
         out, err = process.communicate()
         for run in sorted((night / "runs").glob("cam-?-001")):
             now = [e["sha256"] for e in journal(run) if e["event"] == "capture_stored"]
@@ -206,12 +197,7 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
             fallen.append(verified.stdout + verified.stderr)
     for text in fallen:
         print(f"batch: {text}", file=sys.stderr)
-    alone = (
-        f"{len(alone_s)} workers: {statistics.median(alone_s):.1f} s, at most {max(alone_s):.1f} s"
-        if alone_s
-        else ""
-    )
-    return f"| batch | {killed} | {killed - len(fallen)} | {len(fallen)} | {alone} |"
+    return f"| batch | {killed} | {killed - len(fallen)} | {len(fallen)} |"
 
 
 def main() -> None:
@@ -223,7 +209,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=12, help="kills of a batch")
     given = parser.parse_args()
     chance = random.Random(1)
-    print("| killed | times | gone on, nothing lost | not | worker alone |\n| --- | --- | --- | --- | --- |")
+    print("| killed | times | gone on, nothing lost | not |\n| --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as folder:
         for kind in (ARun, AResume, ASeal, ACertificate):
             print(kills_of(kind, given.kills, Path(folder), chance), flush=True)

@@ -1,4 +1,4 @@
-"""CPU time of the lists of many runs: the first time, again, and after one run changed.
+"""CPU time of the lists of many runs: the first time, and again.
 
     python tests/benchmarks/bench_lists.py RUN [--runs 10000] [--rounds 3] [--write]
 
@@ -73,9 +73,6 @@ def one_round(home: Path, runs: list[Path]) -> Iterator[tuple[str, float]]:
         part_of_index.unlink()
     yield "runs FOLDER, first time", measured.command_s(home, "runs", folder)
     yield "runs FOLDER", measured.command_s(home, "runs", folder)
-    yield "runs of the ledger", measured.command_s(home, "runs")
-    os.utime(runs[-1])
-    yield "runs FOLDER, one run changed", measured.command_s(home, "runs", folder)
     first, *again = looks_s(Path(folder))
     yield "panel, first time", first
     yield from (("panel, a look", took) for took in again)

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/bench_live.py [--rows focus | turn]
 
-``focus``: for levels of the light and diameters of the blur circle, the edge width and the number of stars. ``turn``: distance of the tag from the middle of the image, px, after the turn that
-the figures give, and errors of the beam's centre and radius.
+``focus``: for levels of the light and diameters of the blur circle, the edge width and the number of stars. ``turn``:
+distance of the tag from the middle of the image, px, after the turn that the figures give.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
 from bench.stations.station import load_station
-from simulators.optics.picture import TARGET, beam_of, disc_of, project, true_rotation
+from simulators.optics.picture import TARGET, project, true_rotation
 from tests.support.live_slices import bench, drive, seen, write_slice
 
 SETTING = LiveSetting.of_station(load_station("simulated").value, frequency_hz=60.0, light_on=True)
@@ -49,30 +49,17 @@ def focus_rows(folder: Path) -> None:
 
 
 def turn_rows(folder: Path) -> None:
-    """Print the errors of turns, and of the beam's disc."""
-    print("pan tilt circle | by | tag after the turn px | beam: centre px, radius %")
+    """Print the errors of turns."""
+    print("pan tilt circle | by | tag after the turn px")
     for circle, level in ((0.0, 100.0), (10.0, 10.0), (20.0, 10.0)):
         for pan, tilt in ((3.0, -2.0), (-6.0, 4.0), (8.0, 5.0), (12.0, -6.0), (17.0, 0.0)):
             truth, angles = bench(circle_px=circle), {"pan": pan, "tilt": tilt}
             f = figures(folder, truth, angles, drive(level), LiveMeter(), 0.0)
             there = {"pan": pan + (f.turn.pan or 0.0), "tilt": tilt + (f.turn.tilt or 0.0)}
             tag = project(np.array([TARGET.tag_centre_mm]), true_rotation(there, truth), truth)[0]
-            rotation = true_rotation(angles, truth)
-            disc = disc_of(beam_of(truth), rotation)
-            turn = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
-            edge = project(
-                np.column_stack([disc.x + disc.radius * np.cos(turn), disc.y + disc.radius * np.sin(turn)]),
-                rotation,
-                truth,
-            )
-            middle = edge.mean(axis=0)
-            radius = float(np.hypot(*(edge - middle).T).mean())
-            off = "-"
-            if f.disc_centre_px is not None and f.disc_radius_px is not None:
-                off = f"{np.hypot(*(np.array(f.disc_centre_px) - middle)):5.1f}, {100 * (f.disc_radius_px / radius - 1):+.1f}"
             print(
                 f"{pan:3.0f} {tilt:4.0f} {circle:6.0f} | {f.turn.of:4s} | "
-                f"{np.hypot(tag[0] - 639.5, tag[1] - 359.5):6.1f} | {off}",
+                f"{np.hypot(tag[0] - 639.5, tag[1] - 359.5):6.1f}",
                 flush=True,
             )
 

@@ -42,15 +42,6 @@ def options(described: str | None) -> argparse.ArgumentParser:
     )
 
 
-def in_checkout(folder: Path, *words: str) -> str:
-    """Run this program with the packages of another checkout; return what it prints."""
-    environment = os.environ | {"PYTHONPATH": str(folder)}
-    command = [sys.executable, str(Path(sys.argv[0]).resolve()), *words]
-    return subprocess.run(
-        command, cwd=folder, env=environment, check=True, stdout=subprocess.PIPE, text=True
-    ).stdout
-
-
 def command_s(home: Path, *words: str) -> float:
     """Call a command with a home; return its CPU time."""
     environment = os.environ | {"STARBENCH_HOME": str(home)}
@@ -115,10 +106,6 @@ class Spread(NamedTuple):
         """Return both in words."""
         return f"{self.median_s:.{digits}f} s, 95 %: {self.p95_s:.{digits}f} s"
 
-    def rates(self, amount: float) -> str:
-        """Return how much of some work was done in a second: half of the times as much at least, and 95 of 100."""
-        return f"{amount / self.median_s:.0f}, {amount / self.p95_s:.0f}"
-
 
 def spread(times_s: Iterable[float]) -> Spread:
     """Return the spread of some times, s; between two of them it is interpolated."""
@@ -137,18 +124,6 @@ def cpu_times(rounds: int, work: Callable[[], object]) -> Spread:
         work()
         times.append(time.process_time() - begun)
     return spread(times)
-
-
-def cpu_times_in_turns(rounds: int, *works: Callable[[], object]) -> list[list[float]]:
-    """Return the CPU times of some works, s, one list for each: each is done once, then all by turns in rounds."""
-    times: list[list[float]] = [[] for _ in works]
-    for number in range(rounds + 1):
-        for work, taken in zip(works, times, strict=True):
-            begun = time.process_time()
-            work()
-            if number:
-                taken.append(time.process_time() - begun)
-    return times
 
 
 class _Tee(io.StringIO):

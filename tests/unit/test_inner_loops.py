@@ -20,12 +20,3 @@ def test_python_calls_no_function_that_only_loops_may_call(inner):
     assert [call for path in everything for call in calls_from_python(path, inner)] == []
 
 
-def test_a_call_from_python_is_found_by_its_own_name_and_by_its_modules(tmp_path, inner):
-    program = tmp_path / "program.py"
-    program.write_text(
-        "from simulators.pixels import square_light as tail\n"
-        "from simulators.pixels.pixel_reset import reset_row as again\n"
-        "@njit(**LOOP)\ndef loop(x):\n    return tail.level(x)\n"
-        "def plain(x):\n    return tail.level(x) + again(x) + loop(x)\n"
-    )
-    assert list(calls_from_python(program, inner)) == ["program.py:7: tail.level", "program.py:7: again"]
