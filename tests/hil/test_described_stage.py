@@ -49,6 +49,14 @@ def test_opening_asks_and_a_homing_sets_and_only_a_homing_sends_what_moves(rig) 
     assert not any(data.startswith(b"PP") and data != b"PP " for data in rig.line.sent)
 
 
+def test_each_mode_is_set_between_two_stops(rig) -> None:
+    """In the mode that another program has left, the setting of a mode may be a motion."""
+    stage = again(rig, axis())
+    rig.line.sent.clear()
+    stage.home()
+    assert b"H CI H H I H " in b"".join(rig.line.sent)
+
+
 def test_a_silent_stage_gets_the_stop_twice_and_is_told_within_three_seconds(rig, clock) -> None:
     rig.line.device.inject(LineFault("lost", count=None))
     began_s = clock.now_s

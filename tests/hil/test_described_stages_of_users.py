@@ -122,6 +122,28 @@ def test_a_homing_that_was_refused_in_silence_is_told_with_the_state(clock) -> N
     assert not stage.is_homed()
 
 
+def test_a_command_that_the_device_refuses_is_named_at_once(clock) -> None:
+    wire, _ = smc100(clock)
+    stage = opened(wire, described("smc100"), ("1", 1.0))
+    answer = wire.answer
+
+    def refusing(request: str) -> str:
+        if request != refused:
+            return answer(request)
+        wire.known["TE"] = "C"
+        return ""
+
+    wire.answer, refused = refusing, "1VA20.000"
+    with pytest.raises(DeviceRefused, match=r"'1VA20\.000': '1TE' .* 'C'"):
+        stage.home()
+    refused = "none"
+    stage.home()
+    refused, began_s = "1PA5.0000", clock.now_s
+    with pytest.raises(DeviceRefused, match=r"'1PA5\.0000': '1TE' .* 'C'"):
+        stage.move_to({"pan": 5.0})
+    assert clock.now_s - began_s < 0.5  # after a stop, nothing is waited for that may still begin
+
+
 def test_a_motion_that_begins_late_is_waited_for(clock) -> None:
     wire, motor = smc100(clock)
     stage = opened(wire, described("smc100"), ("1", 1.0))

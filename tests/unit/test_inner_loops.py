@@ -18,5 +18,3 @@ def test_python_calls_no_function_that_only_loops_may_call(inner):
     )
     assert len(inner) > 50
     assert [call for path in everything for call in calls_from_python(path, inner)] == []
-
-

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench.measure.measure import measure
-from calib.errors import FlickerNotFound, TargetNotFound
+from calib.errors import TargetNotFound
 from calib.events.event_image import make_images
-from calib.events.flicker import Flicker, flicker_from_triggers
+from calib.events.flicker import Flicker
 from calib.stars.detect import detect_view
 from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
@@ -52,10 +52,3 @@ def test_a_recording_without_flicker_ends_in_a_message(recording):
     )
     assert measurement.view is None
     assert "No period stands out" in measurement.fault
-
-
-def test_two_lone_triggers_are_no_flicker(recording):
-    _, _, triggers = recording
-    assert triggers.value.tolist() == [0, 1]
-    with pytest.raises(FlickerNotFound, match="2 trigger edges"):
-        flicker_from_triggers(triggers.t, triggers.value)

@@ -18,9 +18,26 @@ RIGHT_WITHIN = 1.3
 ChangeBench = Callable[[Bench], Bench]
 
 
+def statement(**changed: Any) -> ChangeBench:
+    """Change statements; a callable gets the old value."""
+
+    def change(bench: Bench) -> Bench:
+        new = {name: to(getattr(bench.stated, name)) if callable(to) else to for name, to in changed.items()}
+        return replace(bench, stated=replace(bench.stated, **new))
+
+    return change
+
+
 def views(change: Callable[[int, Seen], Seen]) -> ChangeBench:
     """Change each view, counted from 0."""
     return lambda bench: replace(bench, views=[change(i, view) for i, view in enumerate(bench.views)])
+
+
+def readings(change: Callable[[int, dict[str, float]], dict[str, float]]) -> ChangeBench:
+    """Change each reading, counted from 0."""
+    return lambda bench: replace(
+        bench, readings_deg=[change(i, dict(pose)) for i, pose in enumerate(bench.readings_deg)]
+    )
 
 
 def shifted(view: Seen) -> Seen:

@@ -117,16 +117,6 @@ def test_readings_that_contradict_the_stars_are_named_and_change_nothing(certifi
 
 
 @pytest.mark.slow
-def test_a_wrong_sign_of_one_axis_is_named_and_changes_nothing():
-    bench = draw_bench("S3", NINE, 15)
-    result = solved(bench, readings(bench, change=each(lambda pose: {**pose, "pan_deg": -pose["pan_deg"]})))
-    right = solved(bench, readings(bench))
-    assert result.camera.fx == pytest.approx(right.camera.fx, abs=0.05)
-    assert any("The sign of pan or of tilt is wrong in the station file" in note for note in result.notes)
-    assert not any("backwards" in note for note in right.notes)
-
-
-@pytest.mark.slow
 def test_readings_that_scatter_more_than_stated_get_less_weight_and_the_result_says_so():
     bench = draw_bench("S3", NINE, 16, errors=GimbalErrors(reading_sigma_deg=0.0065))
     result = solved(bench, readings(bench))
@@ -166,19 +156,3 @@ def test_statements_out_of_range_are_refused(changed, fault):
         GimbalReadings(**{"angles_deg": ({"pan_deg": 1.0},), "reading_sigma_deg": 0.002, **changed})
     with pytest.raises(InputMismatch, match="must not be negative"):
         ParallaxBound(0.0, -0.1, 0.0, 0.0)
-
-
-@pytest.mark.slow
-def test_a_certificate_and_readings_together_are_better_than_either():
-    bench = draw_bench("S3", NINE, 17)
-    given, certificate = readings(bench, scale_sigma=3e-4), Passport.of_radius(255.0, 0.05, length="seen")
-    both, only_readings, only_certificate = (
-        calibrate(bench.views, CalibrationOptions(model="auto", gimbal=gimbal, passport=passport))
-        for gimbal, passport in ((given, certificate), (given, None), (None, certificate))
-    )
-    assert both.gimbal is not None
-    assert both.gimbal.entered
-    assert both.sigma["fx"] < min(only_readings.sigma["fx"], only_certificate.sigma["fx"])
-    assert abs(both.camera.fx - bench.truth.camera.fx) < both.coverage_factor * both.sigma["fx"]
-    rows = {row.name: row.contribution["fx"] for row in both.budget_rows}
-    assert np.sqrt(sum(u**2 for u in rows.values())) == pytest.approx(both.sigma["fx"], rel=0.01)

@@ -127,7 +127,7 @@ def test_a_log_that_cannot_be_written_says_so_and_disturbs_nothing(tmp_path) -> 
     log.record(0.0, "port", ">", b"stop\n")
     log.record(0.0, "port", ">", b"stop\n")
     assert log.fault is not None
-    assert log.fault.why == "No such file or directory"
+    assert "No such file" in log.fault.why
 
 
 class FullDisk(io.FileIO):

@@ -1,5 +1,6 @@
 """How a sequence unfolds into steps: poses, repeats, defaults, numbers that stay, and what cannot unfold."""
 
+import re
 from collections.abc import Sequence as List
 
 import pytest
@@ -179,7 +180,7 @@ def test_a_grid_that_unfolds_without_end_is_stopped():
     (fault,) = faults_of(
         f"steps: [{{repeat: {{poses: {{pan_deg: {axis}, tilt_deg: {axis}, roll_deg: {axis}}}, steps: [move]}}}}]\n"
     )
-    assert f"this grid has 1000000000000 poses; at most {MOST_STEPS} are allowed" in fault
+    assert re.search(f"1000000000000 poses; at most {MOST_STEPS}", fault)
 
 
 words = st.sampled_from(

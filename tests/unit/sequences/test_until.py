@@ -80,4 +80,4 @@ def test_what_is_wrong_with_it(given, message):
 
 def test_a_record_after_it_needs_a_move():
     (fault,) = faults_of(UNTIL.replace("  - light: off\n", "  - record\n") % "")
-    assert "a record before any move" in fault
+    assert "record before any move" in fault

@@ -97,32 +97,6 @@ def test_points_roll_outwards_with_the_fourth_power():
     np.testing.assert_allclose(moved, [[0.0, 0.0], [0.2 / 16, 0.0], [0.2, 0.0]], atol=1e-12)
 
 
-@pytest.mark.slow
-def test_picture_and_star_positions_agree_through_a_real_collimator():
-    truth = Truth(
-        camera=CameraTruth(fx=330.0, fy=331.0, cx=65.0, cy=34.0, width=128, height=72),
-        collimator=replace(COLLIMATORS["like-real"], half_angle_deg=30.0, defocus=0.4),
-        optics=OpticsTruth(psf_px=0.0, gradient_x=0.0, gradient_y=0.0, black=0.0),
-    )
-    image = optics.render(truth, TURN)
-    x, y = np.meshgrid(np.arange(20.0, 180.0, 0.06), np.arange(60.0, 220.0, 0.06))
-    points = np.column_stack([x.ravel(), y.ravel()])
-    printed = optics.TARGET.reflectance(*points.T)
-
-    def disagreement(seen):
-        """Mean difference between a pixel and the print that is projected onto it."""
-        u, v = np.round(seen).astype(int).T
-        shown = (u >= 0) & (u < 128) & (v >= 0) & (v < 72)
-        count = np.bincount(v[shown] * 128 + u[shown], minlength=128 * 72)
-        white = np.bincount(v[shown] * 128 + u[shown], printed[shown], 128 * 72)
-        whole = count > 0.9 * np.median(count[count > 0])
-        assert whole.sum() > 4000
-        return np.abs(white[whole] / count[whole] - image.ravel()[whole]).mean()
-
-    assert disagreement(optics.project(points, TURN, truth)) < 0.015
-    assert disagreement(optics.project(points, TURN, replace(truth, collimator=CollimatorTruth()))) > 0.1
-
-
 def test_stray_light_lifts_every_pixel():
     camera = CameraTruth(fx=330.0, fy=331.0, cx=64.0, cy=36.0, width=128, height=72)
     without, lifted = (optics.render(Truth(camera, optics=OpticsTruth(stray=s)), TURN) for s in (0.0, 0.05))

@@ -15,9 +15,8 @@ from simulators.optics.outlines import black_polygons
 from simulators.pixels import pixel_reset
 from simulators.pixels import pixel_reset as tail
 from simulators.pixels.pixel_noise import reset_error as inner_reset_error
-from simulators.pixels.pixel_reset import reset_row as inner_reset_row
 from simulators.pixels.sensor import Sensor
-from simulators.pixels.sensor_state import GAINS, STORED_LIGHT
+from simulators.pixels.sensor_state import EPOCH, FREE, GAINS, STORED_LIGHT
 from simulators.world.truth import NoiseTruth
 from simulators.world.world import LightState
 
@@ -117,7 +116,7 @@ def test_the_outline_is_black_where_the_print_is(target):
 
 # ---------------------------------------------------------------- tails of squares
 
-reset_row, reset_error = from_python(inner_reset_row), from_python(inner_reset_error)
+reset_error = from_python(inner_reset_error)
 
 level, crossing = from_python(tail.level), from_python(tail.crossing)
 
@@ -127,41 +126,36 @@ join_digits, lower_digits = from_python(tail.join_digits), from_python(tail.lowe
 
 SQUARE = LightState(waveform="square", output=True)
 
-WIDTH = 640
 
-
-@pytest.mark.parametrize("together", [pytest.param(4, marks=pytest.mark.slow), WIDTH])
+@pytest.mark.parametrize("width", [4, 640])  # reset pixel by pixel, and as a whole row
 @pytest.mark.parametrize("reset_noise", [0.0, 0.01])
-def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(together, reset_noise, monkeypatch):
+def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(width, reset_noise, monkeypatch):
     noise = NoiseTruth(mismatch=0.0, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=reset_noise)
-    sensor = Sensor(WIDTH, 1, noise=noise)
+    sensor = Sensor(width, 640 // width, noise=noise)
     # Lights that just reach an ON threshold of 25 % from the dark, and some that do not.
-    scene = np.linspace(0.02776, 0.0278, WIDTH, dtype=np.float32)[None]
+    scene = np.linspace(0.02776, 0.0278, 640, dtype=np.float32).reshape(-1, width)
     given, start_pixels = [], pixel_reset.start_pixels
     monkeypatch.setattr(
         pixel_reset, "start_pixels", lambda *parts: given.append(parts) or start_pixels(*parts)
     )
     sensor.begin(scene, SQUARE, 0.0)
-    ((px, drive, ro, _, _, random),) = given
-    gains = px.gains[0, :, GAINS]
-    on_gain, off_gain = (gains & 0xFFFF) / 65536.0, (gains >> 16) / 65536.0
+    ((px, drive, ro, _, state, random),) = given
     worst, flat = 0.0, 0
     for t in np.linspace(100.0, drive.period_us - 100.0, 8):
-        for first in range(0, WIDTH, together):
-            px.column[:together] = np.arange(first, first + together)
-            drawn = random.copy()
-            reset_row(px, drive, ro, 0, together, t, 0.0, random)
-            phase = (t + ro.dead_us) % drive.period_us
-            for c in range(first, first + together):
-                light = float(px.cell[0, c, STORED_LIGHT])
-                u = level(drive, light, phase) * reset_error(ro.normals, ro.reset_noise, drawn)
-                cross, on = crossing(drive, light, u * on_gain[c], u / off_gain[c], phase)
-                expected = t + ro.dead_us - phase + cross
-                assert np.isfinite(cross) == np.isfinite(px.t_next[0, c])
-                if np.isfinite(cross):
-                    assert px.is_on[0, c] & 1 == on
-                    worst = max(worst, abs(expected - px.t_next[0, c]))
-                    flat += limit_distance(drive, light, u * on_gain[c], u / off_gain[c]) < tail_width(drive)
+        drawn = random.copy()
+        state[FREE], state[EPOCH] = t + ro.dead_us, 0.0
+        start_pixels(px, drive, ro, width, state, random)
+        phase = (t + ro.dead_us) % drive.period_us
+        for at in np.ndindex(scene.shape):
+            gains, light, found = px.gains[at][GAINS], float(px.cell[at][STORED_LIGHT]), px.t_next[at]
+            u = level(drive, light, phase) * reset_error(ro.normals, ro.reset_noise, drawn)
+            levels = u * (gains & 0xFFFF) / 65536.0, u / ((gains >> 16) / 65536.0)
+            cross, on = crossing(drive, light, *levels, phase)
+            assert np.isfinite(cross) == np.isfinite(found)
+            if np.isfinite(cross):
+                assert px.is_on[at] & 1 == on
+                worst = max(worst, abs(t + ro.dead_us - phase + cross - found))
+                flat += limit_distance(drive, light, *levels) < tail_width(drive)
     assert worst < 0.1
     assert flat > 100
 

@@ -107,18 +107,6 @@ def test_a_pupil_in_front_of_the_pivot_acts_as_a_shift_of_the_camera():
     )
 
 
-@pytest.mark.parametrize(("walk", "factor"), [(-44.0, 1.0114), (-2.0, 1.00052), (0.0, 1.0)])
-def test_with_defocus_a_walking_pupil_looks_like_a_scale_error_of_the_encoder(walk, factor):
-    level = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
-    truth = Truth(CameraTruth(k1=0.0, k2=0.0), CollimatorTruth(defocus=0.066, disc_walk=(walk, walk)), level)
-    c = truth.collimator
-    rotation = true_rotation({"pan": 1.0}, truth)
-    side = rotation[2, 0] / abs(rotation[2, 0])
-    # a camera that had turned by the factor would look at this star
-    star = np.array([[c.x + side * c.r * np.tan(np.radians(factor)), c.y]])
-    assert project(star, rotation, truth)[0, 0] == pytest.approx(truth.camera.cx, abs=2e-3)
-
-
 def test_the_world_remembers_where_the_camera_stood():
     now = [10.0]
     world = World(Truth(mount=MountTruth(shift_mm=(1.0, 0.0))), clock=lambda: now[0])

@@ -127,9 +127,6 @@ def test_events_are_those_of_the_differential_equation(examples):
     assert min(len(square), len(sine)) > 3 * examples
     assert np.quantile(sine, 0.99) <= 0.5 + 1.0
     assert np.mean(square > 0.5 + 0.1) <= 1e-3
-    print(
-        f"\nsquare: {len(square)} events, worst {square.max() - 0.5:.3f} us; sine: {len(sine)}, {sine.max() - 0.5:.3f}"
-    )
 
 
 @examples(15, 500)

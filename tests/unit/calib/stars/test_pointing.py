@@ -54,7 +54,7 @@ def test_two_poses_predict_along_the_direction_they_span_and_one_predicts_nothin
     expected = predict_grid(two, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
     assert off_node(expected, gimbal.view({"pan": 11, "tilt": -2})).max() < 0.1
     for seen in ([], two[:1]):
-        with pytest.raises(DegenerateViews, match=r"Begin with poses that have the tag in view"):
+        with pytest.raises(DegenerateViews, match="the tag in view"):
             predict_grid(seen, {"pan": 11, "tilt": -2}, bench.size, TARGET.pitch_mm)
 
 

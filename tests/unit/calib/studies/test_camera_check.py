@@ -10,7 +10,6 @@ from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
 from calib.studies.camera_check import check_camera, check_one_view, split_half
 from calib.view import View
-from tests.support.drawn_benches import NINE, draw_bench
 
 SIZE = (1280, 720)
 
@@ -96,7 +95,7 @@ def test_a_fisheye_and_another_lens_are_compared_by_what_they_project():
 
 def test_a_camera_of_another_size_is_refused():
     other = CameraModel(3345.0, 3345.5, 320.0, 240.0, (640, 480), {})
-    with pytest.raises(InputMismatch, match="640 x 480 px, these views have 1280 x 720 px"):
+    with pytest.raises(InputMismatch, match=r"640 x 480 px, .* 1280 x 720"):
         check_camera(other, None, CAMERA, np.diag(SIGMA**2), np.random.default_rng(1))
 
 
@@ -167,7 +166,7 @@ def test_the_stated_uncertainty_counts_and_gross_errors_do_not():
 
 def test_another_size_and_too_few_points_are_refused():
     other = CameraModel(1600.0, 1602.0, 320.0, 240.0, (640, 480), {})
-    with pytest.raises(InputMismatch, match="has 640 x 480 px, this view has 1280 x 720 px"):
+    with pytest.raises(InputMismatch, match=r"640 x 480 px, .* 1280 x 720"):
         check_one_view(other, None, view(TRUE, FRONTAL, 0))
     with pytest.raises(DegenerateViews, match="9 usable points; at least 20"):
         check_one_view(TRUE, None, view(TRUE, FRONTAL, 0).part(np.arange(77) < 9))
@@ -176,13 +175,6 @@ def test_another_size_and_too_few_points_are_refused():
 # ---------------------------------------------------------------- halves
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (-1, 1, 200))
-
-
-@pytest.mark.slow
-def test_halves_of_drawn_benches_differ_by_no_more_than_expected():
-    """The ratio is .25 on these benches: both halves see the same collimator, so its errors do not show."""
-    ratios = [split_half(draw_bench("like-bench", NINE, seed).views).ratio for seed in range(2)]
-    assert 0.15 < np.sqrt(np.mean(np.square(ratios))) < 1.2
 
 
 def test_a_moving_centre_makes_the_halves_differ_more_than_noise_would(bench):

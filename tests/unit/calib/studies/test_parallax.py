@@ -100,12 +100,12 @@ def test_views_without_rim_are_named_and_do_not_disturb():
     assert walk_found.without_rim == ("near", "near")
     assert walk_found.views == len(views) + 2
     assert walk_found.pupil_off_pivot_mm == pytest.approx(10.0, abs=3 * walk_found.sigma_mm)
-    assert "The rim is seen in 15 of 17 views" in walk_found.says()[0]
+    assert "15 of 17 views" in walk_found.says()[0]
 
 
 def test_too_few_rims_are_refused_with_advice():
     views, rotations = draw(6, (0.0, 0.0), poses=[(0, 0)] * 3 + [(13, 0), (-13, 0)])
-    with pytest.raises(DegenerateViews, match=r"2 of 5 views show the rim.* Turn the camera farther"):
+    with pytest.raises(DegenerateViews, match=r"2 of 5 views .* farther"):
         pupil_walk(views, rotations, COLLIMATOR)
     with pytest.raises(InputMismatch, match="5 views, but 4 rotations"):
         pupil_walk(views, rotations[:4], COLLIMATOR)

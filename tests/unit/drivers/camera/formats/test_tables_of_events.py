@@ -68,7 +68,7 @@ def test_columns_of_an_archive_may_have_long_names_and_times_in_seconds(tmp_path
 
 def test_one_of_several_arrays_is_chosen(tmp_path):
     np.savez(tmp_path / "a.npz", left=named_table(*"txyp"), right=named_table(*"txyp")[:5])
-    with pytest.raises(NotARecording, match="2 streams of events: left, right"):
+    with pytest.raises(NotARecording, match=r"2 streams .*left, right"):
         import_events(tmp_path / "a.npz", SIZED)
     assert_same(import_events(tmp_path / "a.npz", ReadingChoices((WIDTH, HEIGHT), "left")))
 
@@ -159,7 +159,7 @@ def test_text_without_a_size_or_with_a_torn_line_is_refused(tmp_path):
     with pytest.raises(NotARecording, match="--sensor-size"):
         import_events(path)
     path.write_text(path.read_text() + "45000 3\n45001 2 3 1\n")
-    with pytest.raises(NotARecording, match=f"Line {N + 1} does not hold the numbers of an event: '45000 3'"):
+    with pytest.raises(NotARecording, match=f"Line {N + 1} .*'45000 3'"):
         import_events(path, SIZED)
 
 

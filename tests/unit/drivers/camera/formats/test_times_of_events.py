@@ -42,9 +42,7 @@ def test_events_that_are_not_sorted_are_refused(tmp_path, make):
 
 def test_a_clock_that_begins_anew_is_told_with_its_place(tmp_path):
     t = np.concatenate([ROWS["t"][:1200], ROWS["t"][1200:] - ROWS["t"][1200]])
-    with pytest.raises(
-        NotARecording, match=f"step back from {t[1199]} to 0 us, near event 1199: .*began anew"
-    ):
+    with pytest.raises(NotARecording, match=f"from {t[1199]} to 0 us, .* 1199: .*anew"):
         import_events(npz(tmp_path, t=t), SIZED)
 
 

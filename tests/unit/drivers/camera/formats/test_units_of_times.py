@@ -74,7 +74,7 @@ def test_rates_between_rest_and_flicker_are_read(tmp_path, rate):
 def test_a_given_unit_is_compared_with_the_rate_of_events(tmp_path, given):
     """A still camera is read once the name of its column states the unit."""
     t = np.sort(T_US * 1000 + FRACTIONS)
-    with pytest.raises(NotARecording, match=f"probably in ns.*--time-unit says {given}.*--time-unit ns"):
+    with pytest.raises(NotARecording, match=f"in ns.* says {given}.*--time-unit ns"):
         import_events(npz(tmp_path, t), ReadingChoices(SIZE, time_unit=given))
     np.savez(tmp_path / "a.npz", t_us=t, **OTHERS)
     assert np.array_equal(import_events(tmp_path / "a.npz", ReadingChoices(SIZE)).events.t, t)
@@ -86,7 +86,7 @@ def test_times_in_us_with_parts_of_a_us_are_told_by_every_unit_that_fits(tmp_pat
     np.savez(tmp_path / "a.npz", t=(T_US + FRACTIONS / 1000)[::3], **few)
     with pytest.raises(NotARecording, match=r"--time-unit us\.$"):
         import_events(tmp_path / "a.npz", ReadingChoices(SIZE))
-    with pytest.raises(NotARecording, match=r"parts of a ns.*probably in us"):
+    with pytest.raises(NotARecording, match=r"parts of a ns.*in us"):
         import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="ns"))
     t_us = import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="us")).events.t
     assert np.abs(t_us - T_US[::3]).max() <= 1
@@ -120,7 +120,7 @@ def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
 def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, unit):
     since = 1_600_000_000_000_000 + T_US
     path = npz(tmp_path, since * 1000 if unit == "ns" else since * 1e-3)
-    with pytest.raises(NotARecording, match=f"after the year 2100: they are probably in {unit}"):
+    with pytest.raises(NotARecording, match=f"2100: .* in {unit}"):
         import_events(path, ReadingChoices(SIZE))
     imported = import_events(path, ReadingChoices(SIZE, time_unit=unit))
     assert np.abs(imported.events.t - imported.events.t[0] - (T_US - T_US[0])).max() <= 1
