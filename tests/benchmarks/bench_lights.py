@@ -99,11 +99,7 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
         figures
         | scores
         | means
-        | {
-            "per_edge": images.facts.events_per_edge,
-            "sigma": sigma,
-            "width": width_px,
-        }
+        | {"per_edge": images.facts.events_per_edge, "sigma": sigma, "width": width_px}
     )
 
 

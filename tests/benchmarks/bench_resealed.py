@@ -37,11 +37,7 @@ def main() -> int:
         for name, (attack, _where) in AGAIN.items()
     }
     changes |= ONLY_A_NEW_RECORDING
-    changes_of: dict[str, list[str]] = {
-        "`verify`": [],
-        "`verify --again` only": [],
-        UNSEEN: [],
-    }
+    changes_of: dict[str, list[str]] = {"`verify`": [], "`verify --again` only": [], UNSEEN: []}
     by_ledger = 0
     with tempfile.TemporaryDirectory() as place, kept_in_memory():
         home, folder = Path(place, "home"), Path(place, "made")

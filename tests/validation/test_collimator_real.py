@@ -42,12 +42,7 @@ def test_spherical_model_of_all_views(views):
 
 
 @pytest.mark.parametrize(
-    ("distortion", "flags"),
-    [
-        ("k1k2", RADIAL_2 | NO_TANGENTIAL),
-        ("k1k2k3p1p2", 0),
-        ("none", NO_LENS),
-    ],
+    ("distortion", "flags"), [("k1k2", RADIAL_2 | NO_TANGENTIAL), ("k1k2k3p1p2", 0), ("none", NO_LENS)]
 )
 def test_planar_model_is_that_of_opencv(views, distortion, flags):
     result = calibrate(views, CalibrationOptions(model="planar", distortion=distortion, loss="l2"))

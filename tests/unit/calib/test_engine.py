@@ -325,9 +325,7 @@ def test_stars_count_by_their_covariances(bench):
 
     views = bench.views(np.random.default_rng(29), 0.05)
     honest, silent = (
-        calibrate(
-            [scattered(view, np.random.default_rng(i), stated=stated) for i, view in enumerate(views)],
-        )
+        calibrate([scattered(view, np.random.default_rng(i), stated=stated) for i, view in enumerate(views)])
         for stated in (True, False)
     )
     assert honest.camera.fx == pytest.approx(bench.fx, abs=4 * honest.sigma["fx"])

@@ -137,11 +137,7 @@ def test_a_banner_of_a_device_server_is_no_answer_and_no_fault() -> None:
     assert bench.open().identify().serial == "SG0042"
 
 
-SAID = {
-    "Port already in use\r\n": "in use",
-    "\r\nmoxa login: ": "login",
-    "Username:": "login",
-}
+SAID = {"Port already in use\r\n": "in use", "\r\nmoxa login: ": "login", "Username:": "login"}
 
 
 @pytest.mark.parametrize(("said", "words"), SAID.items())

@@ -114,8 +114,7 @@ def test_a_time_out_on_an_idle_computer_names_the_line(monkeypatch, ask_a_silent
 
 
 @pytest.mark.parametrize(
-    ("tries", "late_s", "asked"),
-    [(TRIES, 0.0, TRIES), (TRIES, 2.0, TRIES + TRIES_WHEN_LATE), (1, 2.0, 1)],
+    ("tries", "late_s", "asked"), [(TRIES, 0.0, TRIES), (TRIES, 2.0, TRIES + TRIES_WHEN_LATE), (1, 2.0, 1)]
 )
 def test_what_is_repeated_is_repeated_more_often_when_late_but_a_motion_never(tries, late_s, asked):
     calls = []

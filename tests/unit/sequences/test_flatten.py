@@ -9,16 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sequences.flatten import MOST_STEPS, unfold
-from sequences.script import (
-    Flicker,
-    Gates,
-    LightStep,
-    MoveStep,
-    RecordStep,
-    ReportStep,
-    SolveStep,
-    Step,
-)
+from sequences.script import Flicker, Gates, LightStep, MoveStep, RecordStep, ReportStep, SolveStep, Step
 
 
 def poses(script: List[Step]) -> list[tuple[int, str, dict[str, float]]]:
@@ -34,12 +25,7 @@ def test_bare_words_stand_for_steps_with_their_defaults():
     assert settle.duration_s == 0.5
     assert (record.window_ms, record.image, record.attempts) == (33, "auto", 2)
     assert record.gates == Gates(min_stars=40, max_event_rate_mev_s=200, require_triggers=True)
-    assert (solve.model, solve.distortion, solve.loss, solve.huber_px) == (
-        None,
-        ("k1", "k2"),
-        None,
-        None,
-    )
+    assert (solve.model, solve.distortion, solve.loss, solve.huber_px) == (None, ("k1", "k2"), None, None)
     assert (solve.passport, solve.readings, solve.guard_band) == (None, "auto", 1.0)
     assert isinstance(report, ReportStep)
 

@@ -9,11 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.optics import picture as optics
-from simulators.optics.collimator_errors import (
-    aberrations_of,
-    disc_of,
-    reticle_point,
-)
+from simulators.optics.collimator_errors import aberrations_of, disc_of, reticle_point
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
 from simulators.world.truth_config import truth_from_config
 

@@ -10,11 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
-from simulators.faults.catalogue import (
-    FaultOrder,
-    fault_order,
-    fault_order_from_text,
-)
+from simulators.faults.catalogue import FaultOrder, fault_order, fault_order_from_text
 from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState, SyncLine
 

@@ -13,14 +13,7 @@ from simulators.optics.picture import beam_of, project, projection_of, true_rota
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.world.drift import STEP_ARCSEC, drift_since_on_arcsec, moved_angles_deg
-from simulators.world.truth import (
-    NOISE_LEVELS,
-    CameraTruth,
-    CollimatorTruth,
-    MountTruth,
-    OpticsTruth,
-    Truth,
-)
+from simulators.world.truth import NOISE_LEVELS, CameraTruth, CollimatorTruth, MountTruth, OpticsTruth, Truth
 from simulators.world.world import LightState, World
 
 POSE = {"pan": 1.0, "tilt": -2.0, "roll": 3.0}

@@ -18,13 +18,7 @@ from simulators.optics.collimator_errors import (
     field_coefficients,
     random_functions,
 )
-from simulators.optics.picture import (
-    pose_rotation,
-    project,
-    render,
-    star_centres,
-    true_rotation,
-)
+from simulators.optics.picture import pose_rotation, project, render, star_centres, true_rotation
 from simulators.world.truth import CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
 from simulators.world.truth_config import truth_from_config
 

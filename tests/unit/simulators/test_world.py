@@ -46,11 +46,7 @@ def test_phase_counts_periods_from_the_origin(t_s, frequency_hz, origin_s):
 # ---------------------------------------------------------------- temperature
 
 WARMING = ThermalTruth(
-    room_c=21.0,
-    room_c_per_h=0.5,
-    self_heating_c=20.0,
-    warm_up_min=12.0,
-    focal_ppm_per_c=18.0,
+    room_c=21.0, room_c_per_h=0.5, self_heating_c=20.0, warm_up_min=12.0, focal_ppm_per_c=18.0
 )
 
 

@@ -19,12 +19,7 @@ SIZE = (1280, 720)
 BOARD = Board("checkerboard", 9, 6, 25.0)
 TRUE = {"k1": -0.21, "k2": 0.13, "p1": 8e-4, "p2": -6e-4, "k3": -0.04, "skew": 1.7}
 TURNS_DEG = ((0, 0, 5), (25, 5, 0), (-24, 8, 20), (4, 27, 50), (6, -26, 80), (-18, -17, -30), (17, -15, 10))
-OPTIONS = {
-    "k1k2": RADIAL_2 | NO_TANGENTIAL,
-    "k1k2k3": NO_TANGENTIAL,
-    "k1k2p1p2": RADIAL_2,
-    "k1k2k3p1p2": 0,
-}
+OPTIONS = {"k1k2": RADIAL_2 | NO_TANGENTIAL, "k1k2k3": NO_TANGENTIAL, "k1k2p1p2": RADIAL_2, "k1k2k3p1p2": 0}
 
 
 @cache

@@ -38,12 +38,7 @@ def bursts(period, phase, n, *, duty=0.5, events=400, spread=300.0, background=0
     return t[order].astype(np.int64), p[order]
 
 
-@given(
-    frequency=st.floats(15, 900),
-    phase=st.floats(0, 1e7),
-    n=st.integers(3, 600),
-    duty=st.floats(0.2, 0.8),
-)
+@given(frequency=st.floats(15, 900), phase=st.floats(0, 1e7), n=st.integers(3, 600), duty=st.floats(0.2, 0.8))
 @settings(max_examples=60, deadline=None)
 def test_a_clean_train_gives_its_period_phase_and_duty(frequency, phase, n, duty):
     period = 1e6 / frequency

@@ -172,12 +172,7 @@ def photograph(image, rng, *, bits, electrons=4000, gamma=1.0, contrast=1.0):
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize(
     ("settings", "rms_px"),
-    [
-        ({}, 0.008),
-        ({"gamma": 1 / 2.2}, 0.008),
-        ({"electrons": 400}, 0.016),
-        ({"contrast": 0.15}, 0.02),
-    ],
+    [({}, 0.008), ({"gamma": 1 / 2.2}, 0.008), ({"electrons": 400}, 0.016), ({"contrast": 0.15}, 0.02)],
     ids=["plain", "gamma", "dark", "dull"],
 )
 def test_photographs_do_as_well_as_their_noise_lets_them(bits, settings, rms_px):

@@ -93,10 +93,7 @@ def test_a_machine_without_usb_says_so_instead_of_having_no_cameras(package, clo
 
 def test_a_camera_that_cannot_be_opened_is_told_with_those_that_are_there(package, clock):
     package.trouble = "Device not found"
-    with pytest.raises(
-        CameraNotFound,
-        match=rf"not found\).*: {SERIAL}, without .*\(access",
-    ):
+    with pytest.raises(CameraNotFound, match=rf"not found\).*: {SERIAL}, without .*\(access"):
         NeuromorphicEvk4.open(serial="1", clock=clock, utc_now=lambda: NOW)
 
 

@@ -7,12 +7,7 @@ from drivers.camera import CameraSettings
 from drivers.camera.raw_file import RawFile
 from drivers.camera.recorded import RecordedCamera
 from drivers.clock import SystemClock
-from drivers.errors import (
-    CameraNotFound,
-    CameraSettingRefused,
-    RecordingFailed,
-    WrongDevice,
-)
+from drivers.errors import CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
 
 HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% serial_number %s\n% sensor_name IMX636\n% end\n"
 

@@ -17,11 +17,7 @@ def shuffled(values):
     return whole.view(np.uint8).reshape(SIZE, -1).T
 
 
-@given(
-    st.integers(0, SIZE),
-    arrays.arrays(np.int64, SIZE, elements=st.integers(0, 2**40)),
-    st.booleans(),
-)
+@given(st.integers(0, SIZE), arrays.arrays(np.int64, SIZE, elements=st.integers(0, 2**40)), st.booleans())
 def test_planes_hold_the_bytes_of_all_events_in_order(number, t, is_steady):
     t = np.full(SIZE, t[0]) if is_steady else t
     x, y = (t % 1280).astype(np.uint16), (t // 7 % 720).astype(np.uint16)

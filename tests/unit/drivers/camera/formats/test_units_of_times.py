@@ -14,11 +14,7 @@ N = 20_000
 SIZE = (640, 480)
 CHANCE = np.random.default_rng(4)
 T_US = 1000 + np.sort(CHANCE.integers(0, 200_000, N))
-OTHERS = {
-    "x": CHANCE.integers(0, 640, N),
-    "y": CHANCE.integers(0, 480, N),
-    "p": CHANCE.integers(0, 2, N),
-}
+OTHERS = {"x": CHANCE.integers(0, 640, N), "y": CHANCE.integers(0, 480, N), "p": CHANCE.integers(0, 2, N)}
 FRACTIONS = CHANCE.integers(0, 1000, N)
 
 

@@ -156,10 +156,7 @@ def test_a_firmware_that_is_too_old_is_named_at_each_opening(clock, capfd):
             MetavisionEvk4.open(serial=serial, clock=clock)
         assert "Update the camera's firmware" in caught.value.remedy
     assert capfd.readouterr().err.encode() == OLD  # the maker's words are not lost
-    with pytest.raises(
-        CameraNotFound,
-        match="cameras: 00051234",
-    ):
+    with pytest.raises(CameraNotFound, match="cameras: 00051234"):
         MetavisionEvk4.open(serial="00099999", clock=clock)
 
 
