@@ -25,7 +25,7 @@ from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_facts import IndexedRun
 from bench.record.run_folder import JOURNAL
 from bench.record.run_index import RunIndex, run_folders
-from bench.wording.causes import cause_sentences
+from bench.wording.causes import listed_verdict
 
 
 @command(
@@ -129,7 +129,7 @@ def _runs_lines(runs: Sequence[IndexedRun]) -> Iterator[str]:
         begun = run.begun_utc[:16].replace("T", " ")
         yield f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
         if run.verdict and run.verdict["kind"] != "pass":
-            yield f"  {' '.join([run.verdict['headline'], *cause_sentences(run.causes[:1])])}"
+            yield f"  {listed_verdict(run.verdict, run.causes)}"
 
 
 def _states(runs: Sequence[IndexedRun]) -> dict[str, State]:

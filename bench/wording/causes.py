@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from calib.model.cause import Cause, Words, cause_sentence, in_words
 
 if TYPE_CHECKING:
-    from bench.record.events import CauseData
+    from bench.record.events import CauseData, VerdictData
 
 LENS, ASLEEP = "another lens", "computer stood still"
 LIGHT, CAMERA = "light set otherwise", "camera set otherwise"
@@ -73,6 +73,11 @@ _WORDS: Mapping[str, Words] = {
 def cause_sentences(causes: Iterable[CauseData]) -> list[str]:
     """Return the causes that results or a journal hold, in words and in their order."""
     return [sentence_of(Cause.from_dict(cause)) for cause in causes]
+
+
+def listed_verdict(verdict: VerdictData | None, causes: Sequence[CauseData]) -> str:
+    """Return the headline of a verdict with its first reservation, for a list; empty without a verdict."""
+    return " ".join([verdict["headline"], *cause_sentences(causes[:1])]) if verdict else ""
 
 
 def sentence_of(cause: Cause) -> str:

@@ -24,6 +24,7 @@ from bench.record.journal import MOST_LINE_BYTES
 from bench.record.run_folder import JOURNAL
 from bench.record.run_index import QUEUE_COPY
 from bench.record.storage import open_to_read, storage_errors
+from bench.wording.causes import listed_verdict
 
 Stamp = tuple[int, int, int, int]
 _BatchStamp = tuple[Stamp, bool, float]
@@ -153,6 +154,7 @@ class FolderList:
     def _row(self, model: RunModel, process: ProcessState) -> ListedRun:
         return {
             **brief_of(model, process, datetime.now(UTC)),
+            "headline": listed_verdict(model.history.verdict, model.history.solved.get("causes", ())),
             "key": self.key_of(model.folder),
             "camera": model.history.devices.get("camera", {}).get("serial", ""),
             "fault": next(iter(faults_of(model, process)), ""),

@@ -8,6 +8,7 @@ from datetime import datetime, timedelta
 import pytest
 from journals import BEGIN, MadeRun
 
+from bench.extras.pages.panel.folder_list import FolderList
 from bench.extras.pages.panel.journal_tail import read_final
 from bench.extras.pages.panel.run_head import ProcessState, head_of
 from bench.extras.pages.panel.run_model import RunModel
@@ -137,6 +138,8 @@ def test_a_finished_run_is_green_only_if_its_report_has_no_reservation(run, kind
     head = _head(run, ProcessState(sealed=True))
     assert (head["verdict"], head["tone"], head["headline"]) == ("finished", tone, headline)
     assert ["60 s" in text for text in head["causes"]] == [True] * len(causes)
+    (listed,) = FolderList(run.folder).look()["runs"]
+    assert ("60 s" in listed["headline"]) == bool(causes)
 
 
 def test_a_killed_run_is_not_called_safe(run):
