@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint.evidence import at_best
 from calib.joint.marginal import Marginal
 from calib.joint.solve import Optimum
 
@@ -71,4 +70,4 @@ def displaced(optimum: Optimum, basis: Array, eta: Array) -> Optimum:
         off=equations.off - turned[: len(equations.off)],
     )
     solution = Marginal(problem, there, optimum.state).solve(eta)
-    return at_best(replace(optimum, solution=solution))
+    return replace(optimum, solution=solution).at_best

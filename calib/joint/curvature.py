@@ -18,6 +18,8 @@ from calib.joint.marginal import Solution
 #: No step of the search changes a logarithm by more than this.
 _LONGEST = 1.5
 _HALVINGS = 5
+#: Largest number of steps of a search.
+_MOST_STEPS = 30
 #: A search ends where a step promises less than this of -2 log: 0.01 is a tenth of a sigma.
 ROUGH, FINE = 0.02, 1e-3
 #: Products of columns are faster from so many times more rows on.
@@ -96,7 +98,7 @@ def _with_readings(solution: Solution, spread: Array, whole: Array) -> Array:
 
 def best_amplitudes(
     solution: Solution,
-    steps: int,
+    steps: int = _MOST_STEPS,
     farthest: float = np.inf,
     enough: float = FINE,
     curvature: Array | None = None,

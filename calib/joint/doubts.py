@@ -34,7 +34,6 @@ _BESIDE = 2.0
 #: The best amplitudes of doubts are searched if a statement is away from the others by more sigmas than the first, and
 #: if their likelihood may reach that of no doubt within the second as a logarithm; for so many sets of statements.
 _AGREES, _FOLLOWED, _SEARCHES = 1.5, 2.0, 4
-_STEPS = 20
 #: Doubts are as none if their probability times the change of the camera, in sigmas or as a share of a sigma, is less:
 #: U then lacks less than 1 %.
 _ALIKE = 5e-3
@@ -140,7 +139,7 @@ def innovations(solution: Solution, curvature: Array) -> list[Innovation]:
         if name == CERTIFICATE:
             without = tuple(sorted((dict(solution.faults) | {name: WRONG}).items()))
             alone = marginal.solve(solution.eta, without)
-            best = best_amplitudes(alone, _STEPS, enough=ROUGH, curvature=curvature)
+            best = best_amplitudes(alone, enough=ROUGH, curvature=curvature)
             answer[at] = Unstated(marginal, best.eta).innovations(solution.faults)[at]
     return answer
 
@@ -200,7 +199,7 @@ class _Search:
         gain = 0.25 * float(start.gradient @ np.linalg.solve(self.curvature, start.gradient))
         if 0.5 * (self.best(NO_FAULT)[0] - start.value) + gain > -_FOLLOWED:
             known = 2.0 * self.curvature if start.eta is optimum.eta else None
-            ended = best_amplitudes(start, _STEPS, enough=ROUGH, curvature=known)
+            ended = best_amplitudes(start, enough=ROUGH, curvature=known)
             self.at.append(Unstated(marginal, ended.eta))
 
     def combinations(self) -> dict[Faults, float]:

@@ -6,7 +6,6 @@ Only with the same weights can two explanations be compared: where stars fit bad
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from calib.joint.curvature import best_amplitudes
 from calib.joint.doubts import LARGEST_LOG, prior_odds, share_of_stars
@@ -15,14 +14,6 @@ from calib.joint.modes import Modes
 from calib.joint.places import narrowed
 from calib.joint.prior import Faults
 from calib.joint.solve import Optimum
-
-#: Largest number of steps to the best amplitudes of an optimum whose stars have the weights of another.
-_STEPS = 20
-
-
-def at_best(optimum: Optimum) -> Optimum:
-    """Return an optimum at its best amplitudes, which a long search does not look for at its end."""
-    return replace(optimum, solution=best_amplitudes(optimum.solution, _STEPS))
 
 
 def weighed_as(there: Optimum, than: Optimum) -> Marginal:
@@ -37,13 +28,13 @@ def value_as_weighed(there: Optimum, than: Optimum) -> float:
     if there is than:
         return there.solution.value
     begin = weighed_as(there, than).solve(there.eta)
-    return best_amplitudes(begin, _STEPS).value
+    return best_amplitudes(begin).value
 
 
 def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
     """Return the odds of faults, seen at the state that they lead to, against no fault at another optimum."""
     assert there.fault_eta is not None
-    best = best_amplitudes(weighed_as(there, than).solve(there.fault_eta, faults), _STEPS)
+    best = best_amplitudes(weighed_as(there, than).solve(there.fault_eta, faults))
     log = 0.5 * (than.solution.value - best.value) * share_of_stars(best)
     return math.exp(min(log, LARGEST_LOG)) * prior_odds(there.marginal.problem.knowledge.witnesses, faults)
 

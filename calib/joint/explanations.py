@@ -184,7 +184,7 @@ def with_doubted_bound(
     # A hand contradicts several statements by many sigma; it makes no pixel oblong.
     right = math.prod(1.0 - probability for name, probability in held.faults.items() if name != ASPECT)
     contradicted = right < _CONTRADICTED
-    if not (bounded and contradicted and held.optimum.marginal.problem.bench.discs):
+    if not (bounded and contradicted and held.optimum.marginal.problem.bench.stars.discs):
         return held
     expect(3)  # the views with the bound and without it, without readings, and the latter again with them
     try:

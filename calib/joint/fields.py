@@ -68,10 +68,13 @@ class FieldBasis:
         return np.asarray(_powers((points_mm - self.reference[:2]) / self.radius_mm) @ _TO_ORTHONORMAL)
 
     def shape(self, displacement: Callable[[Array], Array]) -> Array:
-        """Return (2 K,) a polynomial field's coefficients; points (P - (x, y)) / r and displacements / r are (N, 2)."""
+        """Return (..., 2 K) the coefficients of polynomial fields, from displacements / r (..., N, 2).
+
+        These are at the (N, 2) points (P - (x, y)) / r.
+        """
         h = _DISC * self.radius_mm / self.reference[2]
-        values = displacement(h)
-        return np.asarray(_ON_DISC.T @ values / len(h)).T.reshape(-1)
+        coefficients = np.swapaxes(_ON_DISC.T @ displacement(h) / len(h), -1, -2)
+        return coefficients.reshape(*coefficients.shape[:-2], -1)
 
     @cached_property
     def radial(self) -> Array:

@@ -108,10 +108,6 @@ class Layout:
             tuple(part.row.name for part in parts for _ in part.amplitudes),
         )
 
-    def own_of(self, entries: slice) -> Places:
-        """Return where the own parts of some entries of a pose's basis lie among all own coefficients."""
-        return np.flatnonzero((self.own.places >= entries.start) & (self.own.places < entries.stop))
-
     @cached_property
     def by_turn(self) -> TurnFields:
         """The fields that follow the pupil."""

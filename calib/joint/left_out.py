@@ -40,11 +40,10 @@ def left_out_rms(optimum: Optimum) -> float | None:
         others = information - own[:, :-1] @ maps[pose]
         left = np.linalg.solve(others, information @ solution.step - own[:, -1])
         there, state = _predicted(optimum, pose, np.asarray(left, np.float64))
-        for v in np.flatnonzero(bench.poses == pose):
-            residual = there.view_residuals(state, int(v))
-            seen = np.isfinite(residual).all(axis=1)
-            total += float(weights[v][seen] @ (residual[seen] ** 2).sum(axis=1))
-            count += float(weights[v][seen].sum())
+        residuals = there.residuals(state)
+        seen = (bench.poses[bench.stars.views] == pose) & np.isfinite(residuals).all(axis=1)
+        total += float(weights[seen] @ (residuals[seen] ** 2).sum(axis=1))
+        count += float(weights[seen].sum())
     return float(np.sqrt(total / count))
 
 

@@ -19,7 +19,6 @@ from calib.joint.prior import Faults
 from calib.joint.samples import Node, log_odds
 from calib.joint.solve import Optimum
 
-_STEPS = 20
 #: A search of another mode starts with logarithms that are so much smaller, and larger, where the mode may differ.
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas. A search that comes nearer ends where the first did.
@@ -84,7 +83,7 @@ def _others(optimum: Optimum, curvature: Array) -> list[Node]:
 
     for start in _starts_of_others(optimum):
         with suppress(np.linalg.LinAlgError):
-            ended = best_amplitudes(optimum.marginal.solve(start), _STEPS, enough=ROUGH, until=near)
+            ended = best_amplitudes(optimum.marginal.solve(start), enough=ROUGH, until=near)
             known += [] if near(ended) else [ended]
     return [Node(mode, _odds_of_mode(mode, optimum.solution, curvature)) for mode in known[1:]]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.effects import rim
 from calib.joint.effects.by_turn import Aside, Parallax
 from calib.joint.effects.effect import Circumstances, PoseBasis
-from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
+from calib.joint.equations import Bench, State, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import gather, stated_names, term_shapes, wavefront
 from calib.joint.layout import Layout
@@ -24,6 +23,7 @@ from calib.joint.marginal import Problem
 from calib.joint.poses import Poses
 from calib.joint.pupils import LEVER_BY_HAND, lever_of, pupils_of
 from calib.joint.readings import Readings
+from calib.joint.stars import Stars
 from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
@@ -114,16 +114,17 @@ def posed(
     bench = Bench(
         layout,
         views[0].image_size,
-        tuple(ViewStars.of(view, layout, disc) for view, disc in zip_longest(views, rims)),
+        Stars.of(views, basis, rims),
         poses,
         times_of(views),
         readings,
         turns,
         axes,
         pupils.shown if pupils else sines_of(turns),
-        tuple(rims),
     )
-    hyper = amp.hyperprior(lever, pupil, passport=bool(layout.bench.passport), star_px=bench.usual_sigma_px)
+    hyper = amp.hyperprior(
+        lever, pupil, passport=bool(layout.bench.passport), star_px=bench.stars.usual_sigma_px
+    )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(layout.own.places))), start.rotations, gimbal)
     wander = discs.wander if discs and pupil is not amp.Pupil.HELD else -np.inf

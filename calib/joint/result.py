@@ -17,7 +17,6 @@ from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
 from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
 from calib.joint.effects.gimbal import ENCODER
-from calib.joint.equations import ViewStars, robust_weights
 from calib.joint.explanations import posterior_of, shifted_ids, with_doubted_bound
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
@@ -25,6 +24,7 @@ from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.posterior import Posterior
 from calib.joint.reported import as_seen, without_r8
 from calib.joint.solve import moved
+from calib.joint.stars import Stars, robust_weights
 from calib.joint.summary import summarised
 from calib.joint.unsteady_focus import unsteady_focus
 from calib.joint.words import notes, require_determined
@@ -182,17 +182,13 @@ def _residuals(
 ) -> tuple[list[Array], list[Array]]:
     """Return the residuals of all stars at the mode, and their weights; 0 for stars that were not used."""
     optimum, bench = posterior.reported, posterior.optimum.marginal.problem.bench
-    discs = bench.discs or [None] * len(views)
-    stars = tuple(ViewStars.of(view, bench.layout, disc) for view, disc in zip(views, discs, strict=True))
-    whole = replace(bench, stars=stars, readings=None)
+    stars = Stars.of(views, bench.layout.basis, bench.stars.discs)
+    whole = replace(bench, stars=stars)
     best = optimum.solution
     state = moved(optimum.marginal, best.squares, best.step, best.fields)
-    lengths = whole.whitened(state)
-    weights = []
-    for view_stars, length, own in zip(stars, lengths, used, strict=True):
-        precision = view_stars.precision(optimum.marginal.equations.rim)
-        weights.append(own * precision * robust_weights(np.sqrt(precision) * length, star))
-    return whole.residuals(state), weights
+    precision = stars.precision(optimum.marginal.equations.rim)
+    weights = precision * robust_weights(np.sqrt(precision) * whole.whitened(state), star)
+    return stars.of_views(whole.residuals(state)), stars.of_views(np.concatenate(used) * weights)
 
 
 def _witnesses(posterior: Posterior) -> tuple[Witness, ...]:

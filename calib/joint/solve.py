@@ -6,20 +6,22 @@ are searched by Newton's method (`calib.joint.curvature`). A worse likelihood is
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.curvature import FINE, ROUGH, best_amplitudes
-from calib.joint.equations import Equations, State, robust_sigma
+from calib.joint.curvature import ROUGH, best_amplitudes
+from calib.joint.equations import Equations, State
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.places import step_to_places
 from calib.joint.prior import Faults
+from calib.joint.stars import robust_sigma
 from calib.progress import in_round
 
 #: Rounds with large robust limits, before the first search of amplitudes.
@@ -41,8 +43,8 @@ _NEAR = 0.003
 _HALVINGS = 6
 #: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966); else half.
 _LEAST_GAIN = 0.1
-#: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
-_QUICK, _LONG = 3, 30
+#: Largest number of steps of a search of amplitudes in a round.
+_QUICK = 3
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
@@ -82,6 +84,11 @@ class Optimum:
         """The state of the equations."""
         return self.marginal.state
 
+    @cached_property
+    def at_best(self) -> Optimum:
+        """The optimum at its best amplitudes, which a long search does not look for at its end."""
+        return replace(self, solution=best_amplitudes(self.solution))
+
     @property
     def disagreement(self) -> float:
         """How many times more than star noise the poses differ: 1 without own fields (Birge, 1932)."""
@@ -90,9 +97,12 @@ class Optimum:
         return float(np.sqrt(1.0 + explained / (fields.size * self.solution.star_variance)))
 
 
-def search(problem: Problem, start: State, rounds: int) -> Optimum:
-    """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
-    eta, state = first_amplitudes(problem, start), start
+def search(problem: Problem, start: State, rounds: int, eta: Array | None = None) -> Optimum:
+    """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved.
+
+    The (A,) logarithms ``eta`` of the first amplitudes may be known.
+    """
+    eta, state = first_amplitudes(problem, start) if eta is None else eta, start
     equations, short_steps, pace = first_equations(problem, start), 0, _Pace(np.zeros(len(eta)))
     for k in range(rounds):
         in_round(k)
@@ -103,7 +113,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         placed = problem.pupils is None or short_steps > 1
         if k > _FIRST_ROUNDS and placed and small(solution, share):
             if k < _LATE and pace.size == 1.0:
-                solution = searched(solution, _LONG, enough=FINE)
+                solution = searched(solution)
             if small(solution, share):
                 return Optimum(solution, k + 1, converged=True)
         state, lengths = shortened(solution, pace.size)
@@ -117,7 +127,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     return Optimum(marginal.solve(eta), rounds, converged=False)
 
 
-def _placed(solution: Solution, state: State, size: float) -> tuple[Problem, State, list[Array]]:
+def _placed(solution: Solution, state: State, size: float) -> tuple[Problem, State, Array]:
     """Return the problem with better places of the pupils, and a state there with the lengths of its residuals.
 
     ``size`` is the share of the step.
@@ -152,9 +162,9 @@ def _in_round(k: int, solution: Solution, pace: _Pace) -> tuple[Solution, _Pace]
     return solved(solution.marginal, solution.eta + pace.size * pace.change), pace
 
 
-def first_equations(problem: Problem, state: State, lengths: Sequence[Array] | None = None) -> Equations:
+def first_equations(problem: Problem, state: State, lengths: Array | None = None) -> Equations:
     """Return the equations with wide robust limits; the residuals' ``lengths`` over their sigma may be known."""
-    spread = robust_sigma(lengths or problem.bench.whitened(state))
+    spread = robust_sigma(problem.bench.whitened(state) if lengths is None else lengths)
     return problem.bench.linearised(state, 3.0 * spread)
 
 
@@ -192,7 +202,7 @@ def search_with_fault(
     there = search(replace(problem, faults=faults), start, rounds)
     placed = replace(there.marginal.problem, faults=problem.faults)  # a hand's pupils are elsewhere there
     marginal = Marginal(placed, there.marginal.equations, there.state)
-    solution = searched(solved(marginal, there.eta if eta is None else eta), _LONG, enough=FINE)
+    solution = searched(solved(marginal, there.eta if eta is None else eta))
     return Optimum(solution, there.iterations, there.converged, there.eta)
 
 
@@ -244,7 +254,8 @@ def trusted_amplitudes(solution: Solution) -> Solution:
     """
     marginal = solution.marginal
     farthest = max(_TRUSTED, relative_step(marginal, solution.step))
-    better = searched(solution, _QUICK, farthest=_FARTHEST)
+    with _solvable():
+        better = best_amplitudes(solution, _QUICK, farthest=_FARTHEST, enough=ROUGH)
     for _ in range(_HALVINGS):
         if relative_step(marginal, better.step) < farthest:
             return better
@@ -252,10 +263,10 @@ def trusted_amplitudes(solution: Solution) -> Solution:
     return solution
 
 
-def searched(solution: Solution, steps: int, farthest: float = np.inf, enough: float = ROUGH) -> Solution:
+def searched(solution: Solution) -> Solution:
     """Search the best amplitudes from a solution, and return theirs; `NotConverged` if there is none."""
     with _solvable():
-        return best_amplitudes(solution, steps, farthest=farthest, enough=enough)
+        return best_amplitudes(solution)
 
 
 def relative_step(marginal: Marginal, step: Array) -> float:
@@ -265,7 +276,7 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
-def shortened(solution: Solution, most: float = 1.0) -> tuple[State, list[Array]]:
+def shortened(solution: Solution, most: float = 1.0) -> tuple[State, Array]:
     """Return the state after a step, shorter and shorter while the cost rises, and the lengths of its residuals.
 
     ``most`` is the share of the step that is tried first.
@@ -290,14 +301,15 @@ def shortened(solution: Solution, most: float = 1.0) -> tuple[State, list[Array]
     return state, lengths
 
 
-def _corrected(marginal: Marginal, squares: Array, state: State) -> tuple[State, list[Array]]:
+def _corrected(marginal: Marginal, squares: Array, state: State) -> tuple[State, Array]:
     """Return a state after further steps of what each pose has for itself, with the same weights and amplitudes.
 
     Variable projection (Golub and Pereyra, 1973).
     """
     bench = marginal.problem.bench
+    own = bench.layout.own.places
     for _ in range(_CORRECTIONS):
-        behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations), state)
+        behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations, own), state)
         with _solvable():
             fields = behind.own_steps(squares)
         state = moved(behind, squares, np.zeros_like(state.shared), fields)
@@ -313,16 +325,15 @@ def moved(marginal: Marginal, squares: Array, step: Array, fields: Array) -> Sta
     return state
 
 
-def cost(marginal: Marginal, squares: Array, state: State, lengths: Sequence[Array]) -> float:
+def cost(marginal: Marginal, squares: Array, state: State, lengths: Array) -> float:
     """Return the cost of a state: stars as the equations weigh them, readings, priors; infinite behind the camera.
 
-    ``lengths`` are, for each view, (N,) lengths of the residuals over their sigma.
+    ``lengths`` are the (N,) lengths of the residuals over their sigma.
     """
     bench, hyper, weights = marginal.problem.bench, marginal.problem.hyper, marginal.equations.weights
-    if not all(np.isfinite(length).all() for length in lengths):
+    if not np.isfinite(lengths).all():
         return float("inf")
-    stars = sum(float(w @ length**2) for w, length in zip(weights, lengths, strict=True))
-    total = stars / squares[hyper.at(amp.STAR)]
+    total = float(weights @ lengths**2) / squares[hyper.at(amp.STAR)]
     total += marginal.prior_cost(squares, state)
     if marginal.uses_readings and bench.readings is not None:
         variance = marginal.reading_variance(squares)

@@ -14,7 +14,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.effects.camera import DRIFT
-from calib.joint.evidence import at_best, log_evidence
+from calib.joint.evidence import log_evidence
 from calib.joint.hypotheses import FOCUS_CHANGE
 from calib.joint.knowledge import DOUBTED, STEADY
 from calib.joint.modes import modes_of
@@ -194,7 +194,7 @@ def _others(optimum: Optimum) -> list[UnsteadyFocus]:
     plays = _Change(kinds.FOCUS_PLAYS, np.eye(bench.n_poses)[bench.poses], odds)
     tried = [change for change in (*steps[:_TRIED], creeps, plays) if change.promised(gains) > _PROMISED]
     changed = [_changed(optimum, change, columns) for change in tried]
-    first = at_best(optimum) if changed else optimum
+    first = optimum.at_best if changed else optimum
     likely = [
         there
         for there in changed

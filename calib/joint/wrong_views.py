@@ -18,7 +18,7 @@ from calib.arrays import Array
 from calib.errors import CalibrationError, NotConverged
 from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.effects.effect import Places
-from calib.joint.evidence import at_best, value_as_weighed
+from calib.joint.evidence import value_as_weighed
 from calib.joint.hypotheses import OTHER_ORIGIN, SHIFTED_IDS
 from calib.joint.solve import Optimum, search
 from calib.model import cause as kinds
@@ -57,11 +57,11 @@ def _shifts(optimum: Optimum, places: Places) -> AddedColumns:
     return AddedColumns.of(optimum, columns)
 
 
-def _promised(optimum: Optimum, places: Places, shifts: Array) -> float:
-    """Return by how much -2 log of the likelihood falls with (m, 2) shifts and the best amplitudes then, all linear."""
+def _shifted_linearly(optimum: Optimum, places: Places, shifts: Array) -> Optimum:
+    """Return the optimum with (m, 2) shifts and the best amplitudes then, all linear."""
     basis = np.zeros((len(shifts), optimum.marginal.equations.of_views.shape[1]))
     basis[:, places] = shifts
-    return at_best(optimum).solution.value - displaced(optimum, basis, optimum.eta).solution.value
+    return displaced(optimum, basis, optimum.eta)
 
 
 @dataclass(frozen=True)
@@ -73,26 +73,24 @@ class _Moved:
     optimum: Optimum
 
 
-def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Optimum:
-    """Return the optimum with (m, 2) shifts of the views' stars on the target, from the state of a ``near`` one."""
-    problem, stars = first.marginal.problem, []
-    for star, shift in zip(problem.bench.stars, shifts_mm, strict=True):
-        disc = star.disc and replace(star.disc, centre_mm=star.disc.centre_mm + shift)
-        target = star.target_mm + shift
-        polynomials = problem.bench.layout.basis.polynomials(target)
-        stars.append(replace(star, target_mm=target, polynomials=polynomials, disc=disc))
-    discs = tuple(star.disc for star in stars if star.disc)
-    bench, pupils = replace(problem.bench, stars=tuple(stars), discs=discs), problem.pupils
+def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array, eta: Array) -> Optimum:
+    """Return the optimum with (m, 2) shifts of the views' stars on the target, from the state of a ``near`` one.
+
+    The search of the amplitudes begins at (A,) logarithms ``eta``.
+    """
+    problem = first.marginal.problem
+    stars = problem.bench.stars.moved(shifts_mm, problem.bench.layout.basis)
+    bench, pupils = replace(problem.bench, stars=stars), problem.pupils
     if pupils is not None:
-        pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(stars), 1))))
+        pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(shifts_mm), 1))))
         bench = replace(bench, pupils=pupils.shown)
     start = bench.aligned(near.state, first.marginal.equations.weights)
-    return at_best(search(replace(problem, bench=bench, pupils=pupils), start, rounds))
+    return search(replace(problem, bench=bench, pupils=pupils), start, rounds, eta).at_best
 
 
 def _gain(first: Optimum, there: Optimum) -> float:
     """Return 2 log of the likelihood ratio of an optimum to the first one."""
-    return at_best(first).solution.value - value_as_weighed(there, first)
+    return first.at_best.solution.value - value_as_weighed(there, first)
 
 
 def find_shifted_ids(
@@ -158,20 +156,17 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
     gains = _shifts(best.optimum, places).gains(steps.reshape(len(steps), -1))
     gains[~steps.any(axis=(1, 2))] = -np.inf
 
-    def is_promising(k: int) -> bool:
-        if (best.shifts.any(axis=1) == hypotheses[k].any(axis=1)).all():
-            return True  # only by how much is asked
-        with suppress(np.linalg.LinAlgError):
-            return gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED
-        return False
-
-    promising = [k for k in np.argsort(-gains)[:_ADJUSTED].tolist() if is_promising(k)]
-    expect(len(promising))
+    by_how_much = (hypotheses.any(axis=2) == best.shifts.any(axis=1)).all(axis=1)  # the views are known
     shifted = []
-    for k in promising:
-        with suppress(NotConverged, np.linalg.LinAlgError):
-            there = _moved(first, best.optimum, rounds, pitch * hypotheses[k])
-            shifted.append(_Moved(hypotheses[k], _gain(first, there), there))
+    for k in np.argsort(-gains)[:_ADJUSTED].tolist():
+        if by_how_much[k] or gains[k] > _LOOKED_AT:
+            with suppress(NotConverged, np.linalg.LinAlgError):
+                linear = _shifted_linearly(best.optimum, places, steps[k])
+                promised = best.optimum.at_best.solution.value - linear.solution.value
+                if by_how_much[k] or promised > _PROMISED:
+                    expect(1)
+                    there = _moved(first, best.optimum, rounds, pitch * hypotheses[k], linear.eta)
+                    shifted.append(_Moved(hypotheses[k], _gain(first, there), there))
     return shifted
 
 
@@ -190,11 +185,11 @@ def _gain_again(
         replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
     ]
     try:
-        there = at_best(again(moved))
-        unmoved = _moved(optimum, there, rounds, np.zeros_like(shifts_mm))
+        there = again(moved).at_best
+        unmoved = _moved(optimum, there, rounds, np.zeros_like(shifts_mm), there.eta)
     except CalibrationError:
         return 0.0
-    return min(at_best(optimum).solution.value, unmoved.solution.value) - there.solution.value
+    return min(optimum.at_best.solution.value, unmoved.solution.value) - there.solution.value
 
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:

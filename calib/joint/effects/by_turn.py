@@ -247,10 +247,9 @@ class CurvatureAside(Effect):
     names = ("curvature_x", "curvature_y", "astigmatism_x", "astigmatism_y")
 
     def fill(self, columns: Array, poses: Turned) -> None:
-        for pose, axes in enumerate(poses.axes):
-            for k, shape in enumerate((_curvature, _astigmatism)):
-                for axis, e in enumerate(axes):
-                    columns[pose, self.pose.field, 2 * k + axis] = self.pose.fields.shape(partial(shape, e))
+        for k, shape in enumerate((_curvature, _astigmatism)):
+            for axis, e in enumerate(poses.axes.swapaxes(0, 1)):
+                columns[:, self.pose.field, 2 * k + axis] = self.pose.fields.shape(partial(shape, e))
 
     def priors(self) -> Sequence[RandomBlock]:
         sizes = np.diag(np.repeat(_CURVATURE_SIZES, 2))
@@ -258,13 +257,13 @@ class CurvatureAside(Effect):
 
 
 def _curvature(aside: Array, h: Array) -> Array:
-    """Return the field |h|^2 e. h: (N, 2)."""
-    return np.asarray((h * h).sum(axis=1, keepdims=True) * aside)
+    """Return (n, N, 2) the fields |h|^2 e. h: (N, 2)."""
+    return np.asarray((h * h).sum(axis=1, keepdims=True) * aside[:, None])
 
 
 def _astigmatism(aside: Array, h: Array) -> Array:
-    """Return the field (h e) h. h: (N, 2)."""
-    return np.asarray((h @ aside)[:, None] * h)
+    """Return (n, N, 2) the fields (h e) h. h: (N, 2)."""
+    return np.asarray((h @ aside[:, :, None]) * h)
 
 
 def _coma(aside: Array, turn: Array, h: Array) -> Array:

@@ -58,10 +58,9 @@ class TurningErrors(Effect):
         return PRISM if "p1" in self.pose.camera else (*PRISM, *DECENTRING)
 
     def fill(self, columns: Array, poses: Turned) -> None:
-        for pose, (turn, axes) in enumerate(zip(poses.turns, poses.axes, strict=True)):
-            for k, name in enumerate(self.names):
-                shape = _prism if name in PRISM else _decentring
-                columns[pose, self.pose.field, k] = self.pose.fields.shape(partial(shape, turn, axes[k % 2]))
+        for k, name in enumerate(self.names):
+            shape = partial(_prism if name in PRISM else _decentring, poses.turns, poses.axes[:, k % 2])
+            columns[:, self.pose.field, k] = self.pose.fields.shape(shape)
 
     def priors(self) -> Sequence[RandomBlock]:
         decentred = self.names[len(PRISM) :]
@@ -75,8 +74,8 @@ class Drift(Effect):
     names = (DRIFT,)
 
     def fill(self, columns: Array, poses: Turned) -> None:
-        for pose, (at, turn) in enumerate(zip(poses.order, poses.turns, strict=True)):
-            columns[pose, self.pose.field, 0] = at * self.pose.fields.shape(partial(np.add, -turn))
+        from_axis = self.pose.fields.shape(partial(np.add, -poses.turns[:, None]))
+        columns[:, self.pose.field, 0] = poses.order[:, None] * from_axis
 
 
 def _alike(names: tuple[str, ...], amplitude: str) -> RandomBlock:
@@ -84,13 +83,13 @@ def _alike(names: tuple[str, ...], amplitude: str) -> RandomBlock:
     return RandomBlock(_ROW, names, ((amplitude, np.eye(len(names))),))
 
 
-def _prism(turn: Array, axis: Array, h: Array) -> Array:
-    """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
-    turned = h - turn
-    return np.asarray((turned * turned).sum(axis=1, keepdims=True) * axis)
+def _prism(turns: Array, axes: Array, h: Array) -> Array:
+    """Return (n, N, 2) the fields |x|^2 e of images that are turned, on the target. h: (N, 2)."""
+    turned = h - turns[:, None]
+    return np.asarray((turned * turned).sum(axis=2, keepdims=True) * axes[:, None])
 
 
-def _decentring(turn: Array, axis: Array, h: Array) -> Array:
-    """Return the field 2 (x e) x of an image that is turned, on the target. h: (N, 2)."""
-    turned = h - turn
-    return np.asarray(2.0 * (turned @ axis)[:, None] * turned)
+def _decentring(turns: Array, axes: Array, h: Array) -> Array:
+    """Return (n, N, 2) the fields 2 (x e) x of images that are turned, on the target. h: (N, 2)."""
+    turned = h - turns[:, None]
+    return np.asarray(2.0 * (turned @ axes[:, :, None]) * turned)

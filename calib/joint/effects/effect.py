@@ -58,32 +58,32 @@ class PoseBasis:
     fields: FieldBasis
     about_disc: int = 0  # Number of displacements about the visible disc; 0 if discs do not count
 
-    @property
+    @cached_property
     def radius(self) -> int:
         """Place of the radius."""
         return len(self.camera)
 
-    @property
+    @cached_property
     def rim(self) -> slice:
         """Places of the displacements about the disc."""
         return slice(self.radius + 1, self.radius + 1 + self.about_disc)
 
-    @property
+    @cached_property
     def field(self) -> slice:
         """Places of the field: coefficients of X, then those of Y."""
         return slice(self.rim.stop, self.rim.stop + COEFFICIENTS)
 
-    @property
+    @cached_property
     def shifts(self) -> Places:
         """Places of a shift along X and along Y: the field's coefficients of degree 0."""
         return self.rim.stop + np.array([0, COEFFICIENTS // 2])
 
-    @property
+    @cached_property
     def middle(self) -> slice:
         """Places of the disc's middle."""
         return slice(self.field.stop, self.size)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of entries."""
         return self.field.stop + 2 * bool(self.about_disc)

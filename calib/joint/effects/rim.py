@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.effects.by_turn import TURN_ROW
 from calib.joint.effects.collimator import POSE_ROW
-from calib.joint.effects.effect import Effect, OwnPart, RandomBlock, Row, Turned
+from calib.joint.effects.effect import Effect, OwnPart, Places, RandomBlock, Row, Turned
 from calib.model import result_parts as rows
 from calib.model.rim_fit import Disc
 
@@ -46,24 +47,37 @@ class Rim(Effect):
         ]
 
 
-def about_disc(disc: Disc, target_mm: Array, middle: Array) -> Array:
-    """Return (N, 2, R) displacements of (N, 2) stars, mm; middle: (2,) from where the disc was found, in sigmas."""
-    from_middle, rho, beyond = _from_middle(disc, target_mm, middle)
-    return np.asarray(from_middle[:, :, None] * ((rho - _BEND * beyond) ** _POWERS)[:, None])
+@dataclass(frozen=True)
+class AroundDiscs:
+    """Where N stars lie about the visible discs of their views."""
 
+    from_disc_mm: Array  # (N, 2) from where the disc was found
+    radius_mm: Array  # (N,) of the disc
+    root_mm: Array  # (N, 2, 2) Cholesky factor of the covariance of its middle
 
-def by_middle(disc: Disc, target_mm: Array, middle: Array) -> Array:
-    """Return (N, 2, R, 2) derivatives of `about_disc` by the middle of the disc."""
-    from_middle, rho, beyond = _from_middle(disc, target_mm, middle)
-    inside, along = rho - _BEND * beyond, from_middle / (rho * disc.radius_mm)
-    steep = _POWERS * inside ** (_POWERS - 1) * np.exp(-beyond)
-    slopes = np.einsum("na,nb,nr->narb", along, along, rho * steep)
-    slopes += np.eye(2)[:, None] * (inside**_POWERS)[:, None, :, None]
-    return np.asarray(-slopes @ np.linalg.cholesky(disc.covariance_mm2))
+    @classmethod
+    def of(cls, target_mm: Array, discs: Sequence[Disc], views: Places) -> AroundDiscs:
+        """Return where (N, 2) stars of (N,) views lie about the disc of each view."""
+        centres, radii = np.array([disc.centre_mm for disc in discs]), [disc.radius_mm for disc in discs]
+        roots = np.linalg.cholesky([disc.covariance_mm2 for disc in discs])
+        return cls(target_mm - centres[views], np.array(radii)[views], roots[views])
 
+    def displaced(self, middles: Array) -> Array:
+        """Return (N, 2, R) displacements, mm; middles: (N, 2) from where the disc was found, in sigmas."""
+        from_middle, rho, beyond = self._from_middle(middles)
+        return np.asarray(from_middle[:, :, None] * ((rho - _BEND * beyond) ** _POWERS)[:, None])
 
-def _from_middle(disc: Disc, target_mm: Array, middle: Array) -> tuple[Array, Array, Array]:
-    """Return (N, 2) stars from the disc's middle, mm; (N, 1) how far, in its radii; (N, 1) how far beyond it."""
-    from_middle = target_mm - disc.centre_mm - np.linalg.cholesky(disc.covariance_mm2) @ middle
-    rho = np.maximum(np.hypot(*from_middle.T), _NOTHING)[:, None] / disc.radius_mm
-    return from_middle, rho, np.logaddexp(0.0, (rho - BEYOND) / _BEND)
+    def by_middle(self, middles: Array, sizes: Array) -> Array:
+        """Return (N, 2, 2) derivatives by the middle of the disc, with (N, R) sizes of the displacements."""
+        from_middle, rho, beyond = self._from_middle(middles)
+        inside, along = rho - _BEND * beyond, from_middle / (rho * self.radius_mm[:, None])
+        steep = (sizes * _POWERS * inside ** (_POWERS - 1)).sum(axis=1) * (rho * np.exp(-beyond))[:, 0]
+        slopes = (steep[:, None] * along)[:, :, None] * along[:, None]
+        slopes += np.eye(2) * (sizes * inside**_POWERS).sum(axis=1)[:, None, None]
+        return np.asarray(-slopes @ self.root_mm)
+
+    def _from_middle(self, middles: Array) -> tuple[Array, Array, Array]:
+        """Return (N, 2) stars from the disc's middle, mm; (N, 1) how far, in its radii; (N, 1) how far beyond it."""
+        from_middle = self.from_disc_mm - (self.root_mm @ middles[:, :, None])[:, :, 0]
+        rho = (np.maximum(np.hypot(*from_middle.T), _NOTHING) / self.radius_mm)[:, None]
+        return from_middle, rho, np.logaddexp(0.0, (rho - BEYOND) / _BEND)
