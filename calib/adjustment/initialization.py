@@ -29,7 +29,7 @@ from calib.model.rotation import exp_map
 from calib.view import View
 
 #: Focal lengths tried last, as shares of the diagonal of the image: from a wide-angle lens to a telephoto lens.
-_FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
+FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
 #: The comparison: all starts take a few steps on this number of stars per view; the best few take more steps.
 _COMPARISON_STARS = 40
 _FIRST_STEPS = 4
@@ -91,7 +91,7 @@ def planar_starts(
     """
     matrices = [zhang_matrix(homographies, image_size, free_principal_point=free) for free in (True, False)]
     diagonal = float(np.hypot(*image_size))
-    matrices += [central_matrix(share * diagonal, image_size) for share in _FOCAL_SHARES]
+    matrices += [central_matrix(share * diagonal, image_size) for share in FOCAL_SHARES]
     known = np.array([matrix for matrix in matrices if matrix is not None])
     nowhere, poses = Collimator(0.0, 0.0, 0.0), poses_from_homographies(homographies, known)
     return [

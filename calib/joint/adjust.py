@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.adjustment.initialization import FOCAL_SHARES
 from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geometry
 from calib.calibration import CalibrationOptions
 from calib.diagnosis.gross_stars import noise_px
@@ -24,11 +25,13 @@ from calib.joint.marginal import Marginal, Problem
 from calib.joint.posed import Task, first_parameters, held_parameters, lens_names
 from calib.joint.poses import seen_poses
 from calib.joint.pupils import shown_way
+from calib.joint.readings import MOST_SCATTER
 from calib.joint.solve import (
     Optimum,
     approached,
     first_amplitudes,
     first_equations,
+    is_near,
     optimum_with_faults,
     search,
     search_with_fault,
@@ -51,13 +54,9 @@ _OTHER_STATE = 0.02
 _NEARLY_SQUARE = ((ASPECT, "10 times"),)
 #: A search that ends so far from its start, as a share of the focal length, begins again.
 _FAR_START = 0.05
-#: Focal lengths of further starts, as shares of the image's diagonal: octaves from a wide-angle lens to a telephoto
-#: lens. A search finds the optimum from .5 to 1.4 times the true one.
-_FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
-#: The stars are explained if they scatter by no more than so many times what neighbouring stars show, and the readings
-#: if they do by no more than so many times what is stated. On nine ray-traced benches of another author, right ends
-#: have 1.1 and .9 at most; ends at another camera have 1.24, or readings that are off by more than 1000 times.
-_AS_NEIGHBOURS, _AS_STATED = 1.15, 3.0
+#: The stars are explained if they scatter by no more than so many times what neighbouring stars show. On nine
+#: ray-traced benches of another author, right ends have 1.1 at most; ends at another camera have 1.24 or more.
+_AS_NEIGHBOURS = 1.15
 #: Starts are compared by so many stars a view, or more.
 _COMPARISON_STARS = 50
 
@@ -70,12 +69,20 @@ class _DeniedError(Exception):
         self.alone = alone
 
 
+class _Begin(NamedTuple):
+    """Where a search begins."""
+
+    start: AdjustmentParameters
+    problem: Problem
+    state: State
+    near: State  # What the views alone show, near the optimum
+
+
 class _End(NamedTuple):
     """The end of a search."""
 
     optimum: Optimum
-    near: State  # What the views alone show, near the optimum
-    begin: tuple[Problem, State]
+    begin: _Begin
 
 
 def adjust(
@@ -128,22 +135,24 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
     """
     ends, denied, failed = list[_End](), list[Optimum](), list[Exception]()
 
-    def follow(begin: AdjustmentParameters) -> None:
+    def begun(begin: AdjustmentParameters) -> _Begin | None:
+        problem, state = task.posed(begin)
         try:
-            ends.append(_searched(task, begin))
+            return _Begin(begin, problem, state, _approached(problem, state, task))
         except _DeniedError as error:
             denied.append(error.alone)
         except (NotConverged, np.linalg.LinAlgError) as error:
             failed.append(error)
+        return None
 
-    follow(start)
-    if ends and _explains(ends[0].optimum, task.views):
-        return ends
-    expect(1)
-    few = task._replace(views=[_thinned(view) for view in task.views])
-    held = _held_starts(few, start)
-    if held:
-        follow(min(held, key=lambda other: _value_at(few.posed(other))))
+    for begin in _begins(task, start, begun):
+        try:
+            ends.append(_searched(task, begin))
+        except (NotConverged, np.linalg.LinAlgError) as error:
+            failed.append(error)
+        else:
+            if _explains(ends[-1].optimum, task.views):
+                break
     if denied:
         alone = min(denied, key=lambda optimum: optimum.solution.value)
         if all(_is_less_probable(end.optimum, alone) for end in ends):
@@ -154,6 +163,28 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
     return sorted(ends, key=lambda end: value_as_weighed(end.optimum, first))
 
 
+def _begins(
+    task: Task, start: AdjustmentParameters, begun: Callable[[AdjustmentParameters], _Begin | None]
+) -> Iterator[_Begin]:
+    """Give where searches begin: by the closed form, and by the best start with a held radius if that is elsewhere.
+
+    A closed form with oblong pixels is probably not the camera, and a search from there is long. It comes last.
+    """
+    closed = begun(start)
+    late = closed is not None and bool(_far_fault(closed.problem, closed.near, ASPECT))
+    if closed is not None and not late:
+        yield closed
+    few = task._replace(views=[_thinned(view) for view in task.views])
+    held = _held_starts(few, start)
+    other = begun(min(held, key=lambda begin: _value_at(few.posed(begin)))) if held else None
+    if other is not None and (closed is None or not is_near(other.near, closed.near)):
+        expect(1)
+        yield other
+    if closed is not None and late:
+        expect(1)
+        yield closed
+
+
 def _thinned(view: View) -> View:
     """Return a view with a share of its stars, spread over it: enough to compare starts."""
     return view.part(np.arange(len(view)) % max(1, len(view) // _COMPARISON_STARS) == 0)
@@ -162,13 +193,14 @@ def _thinned(view: View) -> View:
 def _held_starts(few: Task, start: AdjustmentParameters) -> list[AdjustmentParameters]:
     """Return starts with other focal lengths and the radii that belong to them; those that are no camera are left out.
 
-    The image tells the scale fx / r, px/mm, whatever the two are.
+    The image tells the scale fx / r, px/mm, whatever the two are. A search finds the optimum from .5 to 1.4 times the
+    true focal length.
     """
     options = few.options
     if options.passport is not None and not options.passport.is_certificate:
         return []  # all of the glass is known
     diagonal, held = float(np.hypot(*few.views[0].image_size)), []
-    for share in _FOCAL_SHARES:
+    for share in FOCAL_SHARES:
         radius = share * diagonal * start.collimator.r / start.camera.fx
         with suppress(CalibrationError):
             held.append(held_parameters(few.views, radius, few.lens))
@@ -197,29 +229,28 @@ def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
     stated = [np.sqrt(0.5 * np.median(np.trace(view.covariances_px2, axis1=1, axis2=2))) for view in views]
     local = float(np.median([noise_px(view) / sigma for view, sigma in zip(views, stated, strict=True)]))
     reading = float(np.exp(optimum.eta[optimum.marginal.problem.hyper.at(amp.READING)]))
-    return np.sqrt(optimum.solution.star_variance) <= _AS_NEIGHBOURS * local and reading <= _AS_STATED
+    return np.sqrt(optimum.solution.star_variance) <= _AS_NEIGHBOURS * local and reading < MOST_SCATTER
 
 
-def _searched(task: Task, start: AdjustmentParameters) -> _End:
+def _searched(task: Task, begin: _Begin) -> _End:
     """Return the end of a search.
 
     Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended: there the
     fields and what is expected of them are stated for the right radius. The first end stands only if it is clearly more
     probable.
     """
-    problem, state = task.posed(start)
-    near, rounds = _approached(problem, state, task), task.options.max_iterations
-    optimum = _square_or_stretched(*task.posed_at(near, problem, start), rounds)
+    near, rounds = begin.near, task.options.max_iterations
+    optimum = _square_or_stretched(*task.posed_at(near, begin.problem, begin.start), rounds)
     moved = np.abs(optimum.state.shared[:2] / near.shared[:2] - 1.0).max()
     if moved > _FAR_START:
-        there = task.posed_at(optimum.state, optimum.marginal.problem, start)
+        there = task.posed_at(optimum.state, optimum.marginal.problem, begin.start)
         with suppress(NotConverged):  # the first end stands
             again = search(*there, rounds)
             rounds_done = optimum.iterations + again.iterations
             if not _is_clearly_more_probable(optimum, again):
                 optimum = again
             optimum = replace(optimum, iterations=rounds_done)
-    return _End(optimum, near, (problem, state))
+    return _End(optimum, begin)
 
 
 def _is_clearly_more_probable(end: Optimum, other: Optimum) -> bool:
@@ -274,9 +305,9 @@ def _with_certificate(end: _End, rounds: int) -> Optimum:
     Without the certificate, what the views hardly determine can lead the state far away, and the fields follow it. So
     a certificate that they do not clearly contradict is held to from the start on before it is doubted.
     """
-    place = _more_probable_place(end.optimum, end.near, CERTIFICATE, rounds)
-    problem, start = end.begin
-    faults = _far_fault(problem, end.near, CERTIFICATE)
+    _, problem, start, near = end.begin
+    place = _more_probable_place(end.optimum, near, CERTIFICATE, rounds)
+    faults = _far_fault(problem, near, CERTIFICATE)
     if place is end.optimum or place.fault_eta is None or faults != ((CERTIFICATE, WRONG),):
         return place
     certificate = problem.knowledge.witnesses[CERTIFICATE]

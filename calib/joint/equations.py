@@ -30,7 +30,6 @@ from calib.model.rotation import exp_map
 _ALIGNMENTS = 2
 #: Stars whose places agree to so many decimals of a millimetre are the same.
 _SAME_STAR = 6
-_NOTHING = 1e-30
 
 
 @dataclass(frozen=True)
@@ -256,7 +255,7 @@ class Bench:
         both = float((sums[0] ** 2 + sums[1] ** 2).sum() - (weighted**2).sum())
         pairs = float((sums[2] ** 2).sum() - (roots**2).sum())
         squares = float(weights @ (residuals**2).sum(axis=0))
-        alike = both * float(weights.sum()) / max(pairs * squares, _NOTHING)
+        alike = both * float(weights.sum()) / max(pairs * squares, np.finfo(float).tiny)
         return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _compressed(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.arrays import Array
+from calib.joint.effects.by_turn import slopes
 from calib.joint.marginal import Solution
 from calib.joint.prior import block_diagonal, inverse_root
 from calib.joint.pupils import Pupils
@@ -71,8 +72,8 @@ def _spread(solution: Solution, fields: Array) -> Array:
     bench, seen = solution.marginal.problem.bench, _seen(solution)
     by_turn, stars = bench.layout.by_turn, _information(seen, _moved(solution), solution)
     places = inverse_root(_pupils(solution).information + _COUNTED * stars)[0]
-    slopes = by_turn.slopes(bench.pupils)
-    turned = np.einsum("kia,iaq->kiq", places.reshape(len(places), *slopes.shape[:2]), slopes)
+    along = by_turn.slopes(bench.pupils)
+    turned = np.einsum("kia,iaq->kiq", places.reshape(len(places), *along.shape[:2]), along)
     moved = np.einsum("kiq,isq->ksq", turned, seen.shared[:, :, by_turn.rows]) @ fields
     half = solution.covariance @ moved.swapaxes(0, 1).reshape(len(solution.covariance), -1)
     return half @ half.T
@@ -95,8 +96,8 @@ def _moved(solution: Solution) -> Array:
     """Return (n, B, 2) what the places do to the bases."""
     bench = solution.marginal.problem.bench
     by_turn = bench.layout.by_turn
-    slopes = by_turn.slopes(bench.pupils) * _fields(solution)
-    return np.asarray((slopes @ np.eye(bench.layout.pose.size)[by_turn.rows]).swapaxes(1, 2))
+    along = by_turn.slopes(bench.pupils) * _fields(solution)
+    return np.asarray((along @ np.eye(bench.layout.pose.size)[by_turn.rows]).swapaxes(1, 2))
 
 
 def _information(seen: _Seen, moved: Array, solution: Solution) -> Array:
@@ -140,13 +141,20 @@ def _of_determinant(solution: Solution) -> tuple[Array, Array]:
     )
     stars = marginal.equations.squares / solution.star_variance
     by_turn, own = layout.by_turn, layout.own.places
-    slopes = by_turn.slopes(bench.pupils)
     left = stars - stars[:, :, own] @ solution.own @ stars[:, own]
     maps = marginal.equations.maps
     spread = maps @ solution.covariance
     together = left @ spread[:, :, by_turn.columns]
-    gradient = (slopes @ together[:, by_turn.rows, range(len(by_turn.rows)), None])[:, :, 0]
-    known = solution.covariance[by_turn.columns[:, None], by_turn.columns]
+    gradient = (by_turn.slopes(bench.pupils) @ together[:, by_turn.rows, range(len(by_turn.rows)), None])[
+        :, :, 0
+    ]
     others = left - left @ (spread @ maps.swapaxes(1, 2)) @ left
-    curved = others[:, by_turn.rows[:, None], by_turn.rows] * known
-    return gradient, slopes @ curved @ slopes.swapaxes(1, 2)
+    powers, of = np.unique(
+        by_turn.powers, axis=0, return_inverse=True
+    )  # fields of the same powers have one slope
+    known = np.zeros((len(powers), len(powers), *others.shape[1:]))
+    covariance = solution.covariance[by_turn.columns[:, None], by_turn.columns]
+    known[of[:, None], of, by_turn.rows[:, None], by_turn.rows] = covariance
+    curved = others.reshape(len(others), -1) @ known.reshape(len(powers) ** 2, -1).T
+    turned = slopes(bench.pupils, powers)
+    return gradient, turned @ curved.reshape(-1, len(powers), len(powers)) @ turned.swapaxes(1, 2)

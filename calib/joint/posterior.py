@@ -27,13 +27,11 @@ from calib.joint.hypotheses import Hypothesis
 from calib.joint.modes import Modes, modes_of
 from calib.joint.places import spread_of_places
 from calib.joint.samples import Node, nodes_about
-from calib.joint.solve import Optimum, optimum_with_faults, relative_step
+from calib.joint.solve import TRUSTED, Optimum, optimum_with_faults, relative_step
 
 _PAIRS, _FAULT_PAIRS = 12, 4
 #: A mode of a smaller share stands for all amplitudes about it.
 _SMALL_SHARE, _SMALL_DOUBT = 0.01, 0.05
-#: The equations hold for steps of this share of focal length and radius.
-_NEAR = 0.01
 #: A fault that leads farther is looked at if its odds against none are more than this.
 _COUNTS = 0.05
 
@@ -219,7 +217,7 @@ def _limited_by_odds(optimum: Optimum, modes: Sequence[Node]) -> list[Node]:
 
 def _holds(optimum: Optimum, mode: Node, begin: Array | float = 0.0) -> bool:
     """Return whether the step to a mode, from the end ``begin`` (S,) of another one, leaves the equations valid."""
-    return relative_step(optimum.marginal, mode.solution.step - begin) < _NEAR
+    return relative_step(optimum.marginal, mode.solution.step - begin) < TRUSTED
 
 
 def _weight(mode: Node) -> float:

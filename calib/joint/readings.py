@@ -21,6 +21,9 @@ from calib.model.rotation import log_map
 
 #: Readings that scatter this many times more than stated are looked at.
 SCATTER = 2.0
+#: Readings that scatter this many times more than stated contradict the stars, and do not enter. On nine ray-traced
+#: benches of another author, right ends have .9 at most; ends at another camera are off by more than 1000 times.
+MOST_SCATTER = 3.0
 #: Parts of the smooth errors with a smaller variance are left to what each reading has for itself.
 _SMALL_PART = 0.05
 

@@ -22,6 +22,7 @@ from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.posterior import Posterior
+from calib.joint.readings import MOST_SCATTER
 from calib.joint.reported import as_seen, without_r8
 from calib.joint.solve import moved
 from calib.joint.stars import Stars, robust_weights
@@ -39,8 +40,6 @@ from calib.view import View
 
 #: Amplitudes that are given in microradians of a direction; all others are factors or coefficients.
 _DIRECTIONS = (*amp.POSE, *amp.COMMON, *amp.TURN, *amp.TURN_2, amp.CHANGE)
-#: Readings that scatter this many times more than stated contradict the stars, and do not enter.
-_MOST_SCATTER = 3.0
 #: The radius holds the scale of the common field of a passport. That is 0 to so much, far below any other uncertainty.
 _NO_SCALE = 1e-8
 #: Nor if a scale differs by this many times what a wrong statement is expected to.
@@ -63,7 +62,8 @@ def calibrate_jointly(
     posterior, gimbal, entered, shifted = adjusted
     parameters = _parameters(posterior)
     require_determined(posterior, kept, parameters, entered, shifted)
-    posterior = replace(posterior, unsteady=focus.beyond(posterior) if focus else None)
+    if focus is not None:
+        posterior = replace(posterior, unsteady=focus.beyond(posterior))
     result = _calibration(posterior, views, used, parameters, gimbal)
     from calib.joint.causes import find_causes  # here: it brings scipy, which a forecast does not need
 
@@ -282,7 +282,7 @@ def _gimbal(posterior: Posterior, options: CalibrationOptions) -> GimbalEstimate
     reading = marginal.problem.hyper.at(amp.READING)
     times = float(np.exp(posterior.largest.eta[reading]))
     off_scale = max((abs(values[name] - 1.0) for name in names if name in SCALES), default=0.0)
-    entered = times < _MOST_SCATTER and off_scale < _FARTHEST_SCALE * max(
+    entered = times < MOST_SCATTER and off_scale < _FARTHEST_SCALE * max(
         options.gimbal.scale_sigma, FREE_SCALE
     )
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)

@@ -16,7 +16,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.curvature import ROUGH, best_amplitudes
+from calib.joint.curvature import HALVINGS, ROUGH, best_amplitudes
 from calib.joint.equations import Equations, State
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.places import step_to_places
@@ -40,7 +40,6 @@ _LATE, _LATE_SHARE = 20, 0.25
 _SLOWER, _FASTER = 0.5, 1.5
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
-_HALVINGS = 6
 #: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966); else half.
 _LEAST_GAIN = 0.1
 #: Largest number of steps of a search of amplitudes in a round.
@@ -49,8 +48,8 @@ _QUICK = 3
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
 _LONGEST = 0.3
-#: Amplitudes are taken if their step moves focal length and centre by less than this share.
-_TRUSTED = 0.01
+#: The equations hold for steps of this share of focal length and radius: amplitudes are taken if their step is shorter.
+TRUSTED = 0.01
 #: Beyond this share the rotations are found again after a step; below the second, all that a pose has for itself.
 CURVED, _CORRECTED = 1e-3, 0.05
 _CORRECTIONS = 3
@@ -109,7 +108,7 @@ def search(problem: Problem, start: State, rounds: int, eta: Array | None = None
         marginal = Marginal(problem, equations, state)
         solution, pace = _in_round(k, solved(marginal, eta), pace)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
-        short_steps += relative_step(marginal, solution.step) < _TRUSTED
+        short_steps += relative_step(marginal, solution.step) < TRUSTED
         placed = problem.pupils is None or short_steps > 1
         if k > _FIRST_ROUNDS and placed and small(solution, share):
             if k < _LATE and pace.size == 1.0:
@@ -175,10 +174,15 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
         solution = solved(Marginal(problem, equations, state), first_amplitudes(problem, state))
         before = state
         state, lengths = shortened(solution)
-        if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
+        if is_near(state, before):
             break
         equations = first_equations(problem, state, lengths)
     return state
+
+
+def is_near(state: State, other: State) -> bool:
+    """Tell whether focal lengths differ so little that a search from either state would end at the same."""
+    return bool(np.abs(state.shared[:2] / other.shared[:2] - 1.0).max() < _NEAR)
 
 
 def optimum_with_faults(optimum: Optimum, faults: Faults, rounds: int, start: State | None = None) -> Optimum:
@@ -253,10 +257,10 @@ def trusted_amplitudes(solution: Solution) -> Solution:
     keep its amplitudes.
     """
     marginal = solution.marginal
-    farthest = max(_TRUSTED, relative_step(marginal, solution.step))
+    farthest = max(TRUSTED, relative_step(marginal, solution.step))
     with _solvable():
         better = best_amplitudes(solution, _QUICK, farthest=_FARTHEST, enough=ROUGH)
-    for _ in range(_HALVINGS):
+    for _ in range(HALVINGS):
         if relative_step(marginal, better.step) < farthest:
             return better
         better = solved(marginal, 0.5 * (better.eta + solution.eta))
@@ -287,7 +291,7 @@ def shortened(solution: Solution, most: float = 1.0) -> tuple[State, Array]:
     before = cost(marginal, squares, marginal.state, marginal.equations.lengths)
     share = relative_step(marginal, solution.step)
     size = min(most, _LONGEST / share) if share > 0 else most
-    for k in range(_HALVINGS):
+    for k in range(HALVINGS):
         state = moved(marginal, squares, size * solution.step, size * solution.fields)
         lengths = bench.whitened(state)
         enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * solution.gain

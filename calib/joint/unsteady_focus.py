@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint.added_columns import AddedColumns, displaced
+from calib.joint.added_columns import PROMISED, AddedColumns, displaced
 from calib.joint.effects.camera import DRIFT
 from calib.joint.evidence import log_evidence
 from calib.joint.hypotheses import FOCUS_CHANGE
@@ -28,10 +28,6 @@ from calib.view import View
 #: Prior 1 sigma of a change of the focal length between poses, as a share: 2 degrees of an ordinary ring. Smaller ones
 #: than the second number may come from 3 K of aluminium.
 _CHANGE, _LEAST_CHANGE = 1e-3, 1e-4
-#: A change is adjusted if it promises so much of 2 log of the likelihood at the amplitudes found, though these have
-#: grown to take it up: without one, 5 % of places do.
-#: Steps of .02 to .2 % on drawn benches that were told promised 5 or more.
-_PROMISED = 4.0
 #: So many of the most promising steps are adjusted, each change with so many improvements of its sizes.
 _TRIED, _IMPROVED = 2, 3
 #: 2 log of the odds from which on a change is told, as the doubt of a statement is.
@@ -65,7 +61,7 @@ class UnsteadyFocus:
         These are those of the middle focal length if the change is sure. All other unknowns follow what is not known of
         it: a focal length that grows with the tilt displaces the principal point.
         """
-        optimum, off = at_best(posterior.optimum), self.log_f - self.log_f.mean()
+        optimum, off = posterior.optimum.at_best, self.log_f - self.log_f.mean()
         not_known = off
         if self.is_sure:
             off = self.log_f - self._middle
@@ -192,7 +188,7 @@ def _others(optimum: Optimum) -> list[UnsteadyFocus]:
     # The drift of the adjustment is a field on the target, which a large one leaves; this one is exact.
     creeps = _Change(kinds.FOCUS_CREEPS, bench.times[:, None], odds)
     plays = _Change(kinds.FOCUS_PLAYS, np.eye(bench.n_poses)[bench.poses], odds)
-    tried = [change for change in (*steps[:_TRIED], creeps, plays) if change.promised(gains) > _PROMISED]
+    tried = [change for change in (*steps[:_TRIED], creeps, plays) if change.promised(gains) > PROMISED]
     changed = [_changed(optimum, change, columns) for change in tried]
     first = optimum.at_best if changed else optimum
     likely = [

@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import CalibrationError, NotConverged
-from calib.joint.added_columns import AddedColumns, displaced
+from calib.joint.added_columns import PROMISED, AddedColumns, displaced
 from calib.joint.effects.effect import Places
 from calib.joint.evidence import value_as_weighed
 from calib.joint.hypotheses import OTHER_ORIGIN, SHIFTED_IDS
@@ -35,11 +35,10 @@ _SHIFTS = [
 ]
 #: Largest deviation of a star from a node of the lattice, pitches.
 _ON_LATTICE = 0.05
-#: A shift is looked at if -2 log of the likelihood rises by no more than this with it, all linear, and adjusted if it
-#: falls by the second number with better amplitudes: wrong ids have made the own fields of the poses look large. On
-#: drawn gimbals with right ids it would rise by 300 or more from three poses on; with wrong ids of one of nine views
-#: and readings it rose by 9.
-_LOOKED_AT, _PROMISED = -50.0, 4.0
+#: A shift is looked at if -2 log of the likelihood rises by no more than this with it, all linear: wrong ids have made
+#: the own fields of the poses look large. On drawn gimbals with right ids it would rise by 300 or more from three poses
+#: on; with wrong ids of one of nine views and readings it rose by 9.
+_LOOKED_AT = -50.0
 #: Largest number of shifts that are adjusted at a time.
 _ADJUSTED = 4
 #: Of other shifts that explain much, so many are tried with other sizes: each takes up to four searches.
@@ -163,7 +162,7 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
             with suppress(NotConverged, np.linalg.LinAlgError):
                 linear = _shifted_linearly(best.optimum, places, steps[k])
                 promised = best.optimum.at_best.solution.value - linear.solution.value
-                if by_how_much[k] or promised > _PROMISED:
+                if by_how_much[k] or promised > PROMISED:
                     expect(1)
                     there = _moved(first, best.optimum, rounds, pitch * hypotheses[k], linear.eta)
                     shifted.append(_Moved(hypotheses[k], _gain(first, there), there))

@@ -24,7 +24,6 @@ _RATIO = 0.3
 _OWN = 0.2 * np.array([1.0, _RATIO])
 #: Stars outside of the visible disc are displaced as those at so many of its radii; the change is so wide.
 BEYOND, _BEND = 1.05, 0.02
-_NOTHING = 1e-30
 
 
 class Rim(Effect):
@@ -59,7 +58,7 @@ class AroundDiscs:
     def of(cls, target_mm: Array, discs: Sequence[Disc], views: Places) -> AroundDiscs:
         """Return where (N, 2) stars of (N,) views lie about the disc of each view."""
         centres, radii = np.array([disc.centre_mm for disc in discs]), [disc.radius_mm for disc in discs]
-        roots = np.linalg.cholesky([disc.covariance_mm2 for disc in discs])
+        roots = np.linalg.cholesky(np.array([disc.covariance_mm2 for disc in discs]))
         return cls(target_mm - centres[views], np.array(radii)[views], roots[views])
 
     def displaced(self, middles: Array) -> Array:
@@ -79,5 +78,5 @@ class AroundDiscs:
     def _from_middle(self, middles: Array) -> tuple[Array, Array, Array]:
         """Return (N, 2) stars from the disc's middle, mm; (N, 1) how far, in its radii; (N, 1) how far beyond it."""
         from_middle = self.from_disc_mm - (self.root_mm @ middles[:, :, None])[:, :, 0]
-        rho = (np.maximum(np.hypot(*from_middle.T), _NOTHING) / self.radius_mm)[:, None]
+        rho = (np.maximum(np.hypot(*from_middle.T), np.finfo(float).tiny) / self.radius_mm)[:, None]
         return from_middle, rho, np.logaddexp(0.0, (rho - BEYOND) / _BEND)
