@@ -76,6 +76,7 @@ class _Begin(NamedTuple):
     problem: Problem
     state: State
     near: State  # What the views alone show, near the optimum
+    there: tuple[Problem, State]  # The same about that state
 
 
 class _End(NamedTuple):
@@ -138,11 +139,13 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
     def begun(begin: AdjustmentParameters) -> _Begin | None:
         problem, state = task.posed(begin)
         try:
-            return _Begin(begin, problem, state, _approached(problem, state, task))
+            near = _approached(problem, state, task)
         except _DeniedError as error:
             denied.append(error.alone)
         except (NotConverged, np.linalg.LinAlgError) as error:
             failed.append(error)
+        else:
+            return _Begin(begin, problem, state, near, task.posed_at(near, problem, begin))
         return None
 
     for begin in _begins(task, start, begun):
@@ -171,7 +174,7 @@ def _begins(
     A closed form with oblong pixels is probably not the camera, and a search from there is long. It comes last.
     """
     closed = begun(start)
-    late = closed is not None and bool(_far_fault(closed.problem, closed.near, ASPECT))
+    late = closed is not None and bool(_far_fault(closed.there[0], closed.near, ASPECT))
     if closed is not None and not late:
         yield closed
     few = task._replace(views=[_thinned(view) for view in task.views])
@@ -240,7 +243,7 @@ def _searched(task: Task, begin: _Begin) -> _End:
     probable.
     """
     near, rounds = begin.near, task.options.max_iterations
-    optimum = _square_or_stretched(*task.posed_at(near, begin.problem, begin.start), rounds)
+    optimum = _square_or_stretched(*begin.there, rounds)
     moved = np.abs(optimum.state.shared[:2] / near.shared[:2] - 1.0).max()
     if moved > _FAR_START:
         there = task.posed_at(optimum.state, optimum.marginal.problem, begin.start)
@@ -305,7 +308,7 @@ def _with_certificate(end: _End, rounds: int) -> Optimum:
     Without the certificate, what the views hardly determine can lead the state far away, and the fields follow it. So
     a certificate that they do not clearly contradict is held to from the start on before it is doubted.
     """
-    _, problem, start, near = end.begin
+    _, problem, start, near, _ = end.begin
     place = _more_probable_place(end.optimum, near, CERTIFICATE, rounds)
     faults = _far_fault(problem, near, CERTIFICATE)
     if place is end.optimum or place.fault_eta is None or faults != ((CERTIFICATE, WRONG),):
