@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
+from typing import NamedTuple
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.plan.job import Job
 from bench.record.events import LightSettingsData, RecordedData, StateEntered
 from bench.record.history import History
-from bench.record.measured_facts import ImageFacts
-from bench.record.results import CameraConditions, Results
+from bench.record.measured_facts import ImageFacts, MeasuredFacts
+from bench.record.results import CameraConditions, Conditions, PoseData, Results
 from bench.solve.forecasts import forecast_bench
 from bench.wording import causes as kinds
 from calib.calibration import Calibration
@@ -44,24 +44,44 @@ _SAME_SETTING = 0.02
 _STOOD_STILL_S = 10.0
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """What the accepted recordings of a run showed, by name of the pose."""
+class _Pose(NamedTuple):
+    """What the accepted recording of a pose showed; None if it is not known."""
 
-    stars: Mapping[str, int]  # None where silent lines cost stars: a note of the run tells these
-    off_events: Mapping[str, float]  # Of a falling edge of the light, by the pixels that follow it
-    on_delay_us: Mapping[str, float]  # Of the first ON events after a square light rises
-    duty: Mapping[str, float]  # By the edges of the sync signal, as a share of the period
+    stars: int | None  # None where silent lines cost stars: a note of the run tells these
+    off_events: float | None  # Of a falling edge of the light, by the pixels that follow it
+    on_delay_us: float | None  # Of the first ON events after a square light rises
+    duty: float | None  # By the edges of the sync signal, as a share of the period
+
+    @classmethod
+    def of(cls, stars: int | None, facts: MeasuredFacts | PoseData) -> _Pose:
+        """Return what is known of a recording whose view has so many stars."""
+        image = facts.get("image") or ImageFacts()
+        silent = image.get("silent_rows") or image.get("silent_columns")
+        off_events = image.get("lit_pixels", 0) * (image.get("events_per_edge_off") or 0.0)
+        delay_us = image.get("first_on_delay_us")
+        return cls(None if silent else stars, off_events, delay_us, facts.get("flicker_duty"))
+
+
+class _Seen(NamedTuple):
+    """What the accepted recordings of a run showed."""
+
+    poses: Mapping[str, _Pose]
     rms_px: float
     light: LightSettingsData
     camera: Mapping[str, int | bool]  # Biases and filters, as read back
 
-    def of_poses(self, number: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float] | None:
-        """Return the medians of a number and of another one over the poses that both have; None without any."""
-        same = [name for name in number if name in other and other[name] > 0]
-        if not same:
+    def beside(self, last: _Seen, number: str) -> tuple[float, float] | None:
+        """Return the medians of a number here and in the last run, over the poses that know it in both, if any."""
+        both = [
+            (getattr(self.poses[name], number), getattr(last.poses[name], number))
+            for name in self.poses
+            if name in last.poses
+        ]
+        known = [(now, then) for now, then in both if now and then]
+        if not known:
             return None
-        return tuple(statistics.median(course[name] for name in same) for course in (number, other))  # type: ignore[return-value]
+        now, then = zip(*known, strict=True)
+        return statistics.median(now), statistics.median(then)
 
 
 def causes_of_run(job: Job, history: History, calibration: Calibration) -> list[Cause]:
@@ -91,62 +111,25 @@ def _ranked(causes: list[Cause]) -> list[Cause]:
 
 
 def _seen_in(history: History, calibration: Calibration) -> _Seen:
-    accepted = history.accepted().values()
-    stored = next((attempt.stored for attempt in reversed(list(accepted))), None)
-    images = {attempt.pose_name: attempt.measured.get("image") for attempt in accepted}
-    return _Seen(
-        {}
-        if any(map(_has_silent_lines, images.values()))
-        else {view.name: view.n for view in calibration.views},
-        _off_events(images),
-        _on_delays_us(images),
-        _known({attempt.pose_name: attempt.measured.get("flicker_duty") for attempt in accepted}),
-        calibration.rms_px,
-        stored["light"] if stored else LightSettingsData(),
-        _read_back(stored["facts"]) if stored else {},
-    )
+    accepted, stars = list(history.accepted().values()), {view.name: view.n for view in calibration.views}
+    poses = {each.pose_name: _Pose.of(stars.get(each.pose_name), each.measured) for each in accepted}
+    stored = accepted[-1].stored if accepted else None
+    light, facts = (stored["light"], stored["facts"]) if stored else (LightSettingsData(), RecordedData())
+    return _Seen(poses, calibration.rms_px, light, _read_back(facts))
 
 
 def _seen_before(results: Results) -> _Seen:
-    poses = [pose for pose in results.get("poses", ()) if pose["stars"]]
-    conditions = results.get("conditions")
-    images = {pose["name"]: pose["image"] for pose in poses}
+    poses = {
+        pose["name"]: _Pose.of(pose["stars"], pose) for pose in results.get("poses", ()) if pose["stars"]
+    }
+    conditions = results.get("conditions") or Conditions(light=LightSettingsData(), camera=CameraConditions())
     return _Seen(
-        {pose["name"]: pose["stars"] for pose in poses},
-        _off_events(images),
-        _on_delays_us(images),
-        _known({pose["name"]: pose.get("flicker_duty") for pose in poses}),
-        float(results["calibration"]["rms_px"]),
-        conditions["light"] if conditions else LightSettingsData(),
-        _read_back(conditions["camera"]) if conditions else {},
+        poses, float(results["calibration"]["rms_px"]), conditions["light"], _read_back(conditions["camera"])
     )
-
-
-def _has_silent_lines(image: ImageFacts | None) -> bool:
-    return bool(image and (image.get("silent_rows") or image.get("silent_columns")))
-
-
-def _off_events(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
-    """Return how many events a falling edge makes by pose, as far as they were counted."""
-    return _known(
-        {
-            name: image.get("lit_pixels", 0) * (image.get("events_per_edge_off") or 0.0) if image else None
-            for name, image in images.items()
-        }
-    )
-
-
-def _on_delays_us(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
-    """Return the delay of the first ON events by pose, us, as far as it was measured."""
-    return _known({name: image.get("first_on_delay_us") if image else None for name, image in images.items()})
 
 
 def _read_back(facts: RecordedData | CameraConditions) -> dict[str, int | bool]:
     return {**(facts.get("biases") or {}), **(facts.get("filters") or {})}
-
-
-def _known(numbers: Mapping[str, float | None]) -> dict[str, float]:
-    return {name: float(number) for name, number in numbers.items() if number}
 
 
 def _evidence(ratio: float, share: float) -> float:
@@ -194,11 +177,10 @@ def _slept_s(states: tuple[StateEntered, StateEntered]) -> float:
 def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:
     """Yield what differs from the last run: settings, and the sign of a weak image that is known best."""
     last, run = _seen_before(results), str(results["run"]["id"])
-    yield from _other_setting(kinds.LIGHT, _light_settings(seen, last), _SAME_SETTING, run)
-    yield from _other_setting(kinds.CAMERA, _camera_settings(seen, last), 0.0, run)
+    yield from _other_settings(seen, last, run)
     weak = [
         *_weak_light(seen, last, run),
-        *_weak(kinds.FEWER, seen.of_poses(seen.stars, last.stars), _STARS_SHARE, "stars", run),
+        *_weak(kinds.FEWER, seen.beside(last, "stars"), _STARS_SHARE, "stars", run),
         *_weak(kinds.NOISIER, (seen.rms_px, last.rms_px), _RESIDUAL_SHARE, "px", run),
     ]
     yield from weak[:1]
@@ -211,12 +193,12 @@ def _weak_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
     """
     delays_us = None
     if seen.light.get("waveform") == last.light.get("waveform") == "square":
-        delays_us = seen.of_poses(seen.on_delay_us, last.on_delay_us)
+        delays_us = seen.beside(last, "on_delay_us")
     slower = list(_weak(kinds.SLOWER, delays_us, _DELAY_SHARE, "us", run))
     no_later = delays_us is not None and delays_us[0] < delays_us[1] * math.exp(_DELAY_SHARE)
     fewer = kinds.ROOM if no_later else kinds.DIMMER
     yield from slower
-    yield from _weak(fewer, seen.of_poses(seen.off_events, last.off_events), _EVENTS_SHARE, "events", run)
+    yield from _weak(fewer, seen.beside(last, "off_events"), _EVENTS_SHARE, "events", run)
 
 
 def _weak(
@@ -229,41 +211,32 @@ def _weak(
         yield Cause(kind, evidence, now, unit=unit, stated=then, before=run)
 
 
-#: By name of a setting: what it is, what it was, and its unit.
-_Settings = Mapping[str, tuple[float | None, float | None, str]]
+def _other_settings(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
+    """Yield the first setting of the light that differs from that of the last run, and the first of the camera.
 
-
-def _other_setting(kind: str, settings: _Settings, share: float, run: str) -> Iterator[Cause]:
-    """Yield the first setting that differs from that of the last run by more than a share."""
-    for name, (now, then, unit) in settings.items():
-        if now is not None and then is not None and abs(now - then) > share * abs(then):
-            yield Cause(
-                kind, 2.0 * DECISIVE, float(now), unit=unit, stated=float(then), axis=name, before=run
-            )
-            return
-
-
-def _light_settings(seen: _Seen, last: _Seen) -> _Settings:
-    """Return the settings of the light; the duty as the sync signal shows it, too."""
-    now, then = seen.light, last.light
+    The sync signal shows the duty of the light, too.
+    """
+    (now, then), duty = (seen.light, last.light), seen.beside(last, "duty") or (None, None)
     levels = [(light.get("low_v"), light.get("high_v")) for light in (now, then)]
-    height = [None if low is None or high is None else high - low for low, high in levels]
-    duty = seen.of_poses(seen.duty, last.duty)
-    shown = (100.0 * duty[0], 100.0 * duty[1]) if duty else (None, None)
-    return {
-        "frequency": (now.get("frequency_hz"), then.get("frequency_hz"), "Hz"),
-        "duty": (now.get("duty_percent"), then.get("duty_percent"), "%"),
-        "duty by the sync signal": (*shown, "%"),
-        "level": (height[0], height[1], "V"),
-    }
-
-
-def _camera_settings(seen: _Seen, last: _Seen) -> _Settings:
-    """Return the biases and filters of the camera."""
-    return {
-        name: (own, last.camera.get(name, own), kinds.SWITCH if isinstance(own, bool) else "")
+    heights = [None if low is None or high is None else high - low for low, high in levels]
+    of_light: list[tuple[str, float | None, float | None, str]] = [
+        ("frequency", now.get("frequency_hz"), then.get("frequency_hz"), "Hz"),
+        ("duty", now.get("duty_percent"), then.get("duty_percent"), "%"),
+        ("duty by the sync signal", duty[0] and 100.0 * duty[0], duty[1] and 100.0 * duty[1], "%"),
+        ("level", heights[0], heights[1], "V"),
+    ]
+    of_camera: list[tuple[str, float | None, float | None, str]] = [
+        (name, own, last.camera.get(name), kinds.SWITCH if isinstance(own, bool) else "")
         for name, own in seen.camera.items()
-    }
+    ]
+    for kind, settings, share in ((kinds.LIGHT, of_light, _SAME_SETTING), (kinds.CAMERA, of_camera, 0.0)):
+        for name, value, before, unit in settings:
+            if value is not None and before is not None and abs(value - before) > share * abs(before):
+                stated = float(before)
+                yield Cause(
+                    kind, 2.0 * DECISIVE, float(value), unit=unit, stated=stated, axis=name, before=run
+                )
+                break
 
 
 def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterator[Cause]:
@@ -272,7 +245,8 @@ def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterato
     if expected is None:
         return
     stars = expected_stars(job, calibration)
-    counted = (statistics.median(seen.stars.values()), stars) if stars and seen.stars else None
+    seen_stars = [pose.stars for pose in seen.poses.values() if pose.stars]
+    counted = (statistics.median(seen_stars), stars) if stars and seen_stars else None
     noise = calibration.rms_px / math.sqrt(2.0), max(expected.star_sigma_px, expected.collimator.rms_px)
     weak = [
         *_weak(kinds.FEWER, counted, _EXPECTED_STARS, "stars"),

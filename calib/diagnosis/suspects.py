@@ -50,9 +50,7 @@ class _Row:
     """A kind of suspect."""
 
     size: int  # Number of its parameters, rad
-    axes: Callable[
-        [Frames, int], Array
-    ]  # (n, 3, size) about which it turns the camera, from the number of an axis
+    axes: Callable[[Frames, int], Array]  # (n, 3, size) that it turns the camera about; from an axis's number
     course: str  # Of `_COURSES`
     order: int  # Of what turns the camera: 0 on its side of all axes
 

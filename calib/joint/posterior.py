@@ -79,9 +79,7 @@ class Posterior:
     # (S,) how far the shared unknowns of a pose may be from the stated ones, all together; even up to there. None: as
     # far as the covariance says.
     unsteady: Array | None = None
-    better_lens: str = (
-        ""  # The coefficients of the other family of lenses, if it explains the views far better
-    )
+    better_lens: str = ""  # Coefficients of the other family of lenses, if it explains the views far better
 
     @property
     def optimum(self) -> Optimum:

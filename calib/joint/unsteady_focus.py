@@ -84,18 +84,9 @@ class UnsteadyFocus:
         """Return the cause: the size of a step or drift has a sign; poses that differ span theirs."""
         signed = self.kind != kinds.FOCUS_PLAYS
         value = float(self.log_f[-1] - self.log_f[0] if signed else np.ptp(self.log_f))
-        cause = Cause(
-            self.kind,
-            self.evidence,
-            100.0 * value,
-            200.0 * self.sigma,
-            "%",
-            beside=self.beside,
-            explains=(STEADY,),
-        )
-        if not self.first:
-            return cause
-        return replace(cause, before=views[self.first - 1].name, pose=views[self.first].name)
+        before, pose = (views[self.first - 1].name, views[self.first].name) if self.first else ("", "")
+        cause = Cause(self.kind, self.evidence, 100.0 * value, 200.0 * self.sigma, "%")
+        return replace(cause, before=before, pose=pose, beside=self.beside, explains=(STEADY,))
 
 
 def unsteady_focus(posterior: Posterior) -> UnsteadyFocus | None:

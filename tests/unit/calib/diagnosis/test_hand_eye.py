@@ -151,6 +151,13 @@ def test_what_creeps_goes_by_the_times_of_the_poses_and_repeated_poses_show_it(l
     assert (cause.kind, cause.value) == (kind, pytest.approx(0.1, abs=1.5 * cause.expanded))
 
 
+def test_few_poses_do_not_tell_a_loose_camera_from_errors_of_the_collimator():
+    loose = seen(lambda _, rng: rng.normal(0, 0.05, 3))
+    bench = loose(draw_gimbal(1, **(NINE | {"poses": 5})), np.random.default_rng(5))
+    (cause,) = judged(bench, reading_sigma_deg=READ).causes
+    assert (cause.kind, cause.beside) == (kinds.LOOSE, (kinds.BIASED,))
+
+
 @pytest.mark.parametrize(
     ("seed", "slip", "others"),
     first_quick(
