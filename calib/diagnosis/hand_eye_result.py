@@ -77,6 +77,11 @@ class HandEyeCheck:
         return tuple(sorted(causes, key=lambda cause: -cause.evidence))
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether smooth errors, as those of a collimator, are the most probable of all scatters."""
+        return bool(self.scatters.argmax() == len(self.scatters) - 1)
+
+    @property
     def verdict(self) -> str:
         """The kind of the first cause; or that readings and rotations agree, or why nothing can be said."""
         if self.causes:
