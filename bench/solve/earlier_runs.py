@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from bench.base.errors import BenchError
@@ -46,23 +47,18 @@ def last_results(ledger: Ledger, history: History) -> Results | None:
 
     An earlier run that cannot be read is passed over: without it, less is known of the bench.
     """
-    same = str(history.started["sequence"]), str(history.started["station"])
-    return next(_results_of(ledger, history.ledger, same), None)
-
-
-def _results_of(ledger: Ledger, place: Mapping[str, object], same: tuple[str, str]) -> Iterator[Results]:
+    same = history.started["sequence"], history.started["station"]
     try:
-        runs = (earlier_runs(ledger, place) or []) if place else []
+        runs = (earlier_runs(ledger, history.ledger) or []) if history.ledger else []
     except BenchError:  # the report says so
-        return
+        return None
     for run in runs:
-        try:
+        with suppress(NotComparableError):
             results = read_sealed(Path(run.folder), run.seal or "")[0]
-        except NotComparableError:
-            continue
-        run_of = results["run"].get("sequence"), results["run"].get("station")
-        if run_of == same and results["calibration"]["converged"]:
-            yield results
+            run_of = results["run"].get("sequence"), results["run"].get("station")
+            if run_of == same and results["calibration"]["converged"]:
+                return results
+    return None
 
 
 def read_sealed(folder: Path, seal: str) -> tuple[Results, str]:

@@ -55,9 +55,10 @@ class LiveFigures:
     moving: bool = False  # Whether the stage turned meanwhile; then nothing is searched
     # Id, column and row, px, of each star found; id -1 if it is not known which star it is.
     stars: Sequence[tuple[int, float, float]] = ()
-    tag_id: int | None = None  # Number of the target's tag if it was found
     other_tag: str = ""  # What is wrong with the tags seen; empty if nothing is
-    tag_corners_px: Corners | None = None  # Corners of the tag, px, in the order of the print
+    tag_corners_px: Corners | None = (
+        None  # Corners of the target's tag, px, in the order of the print; None without it
+    )
     square: DarkSquare | None = None  # A dark square that looks like the tag, if the tag was not read
     disc_centre_px: tuple[float, float] | None = None  # Of the beam's disc in the image (column, row)
     disc_radius_px: float | None = None  # Of the same disc
@@ -110,7 +111,7 @@ class LiveMeter:
         if not part.moving:
             turn = where_to_turn(self._size, beam, stars, setting, part.reading_deg, square)
         return _jpeg(show(values)), replace(
-            _with_stars(figures, stars, setting),
+            _with_stars(figures, stars),
             square=square,
             contrast=contrast(values, beam.lit) if lit else None,
             edge_width_px=edge_width_px(values, stars, setting.target),
@@ -148,7 +149,7 @@ def _figures(part: LiveSlice, setting: LiveSetting, image: LiveImage, beam: Beam
     )
 
 
-def _with_stars(figures: LiveFigures, stars: QuickStars | None, setting: LiveSetting) -> LiveFigures:
+def _with_stars(figures: LiveFigures, stars: QuickStars | None) -> LiveFigures:
     """Add stars and tag to the figures of a slice."""
     if stars is None:
         return figures
@@ -157,7 +158,6 @@ def _with_stars(figures: LiveFigures, stars: QuickStars | None, setting: LiveSet
     return replace(
         figures,
         stars=tuple((int(number), float(x), float(y)) for number, (x, y) in named),
-        tag_id=setting.target.tag_id if tag is not None else None,
         tag_corners_px=None if tag is None else tuple((float(x), float(y)) for x, y in tag.corners_px),
     )
 

@@ -67,7 +67,7 @@ function tag(c, figures, x, y, ratio) {
   c.closePath();
   c.stroke();
   const [u, v] = figures.tag_corners_px[0];
-  label(c, `tag ${figures.tag_id}`, x(u), y(v), ratio);
+  label(c, "tag", x(u), y(v), ratio);
 }
 
 /** A dark square that is probably the tag: dashed, and round, because its roll is not known. */
