@@ -145,10 +145,7 @@ def test_mounting_and_standing_are_found_however_the_camera_hangs(roll_deg):
         ({"eccentricity_deg": -1.0}, "eccentricity_deg"),
         ({"angles_deg": ({"yaw_deg": 1.0},)}, "Unknown axis 'yaw_deg'"),
         ({"angles_deg": ({"pan_deg": np.nan},)}, "An angle is not a finite number"),
-        (
-            {"angles_deg": ({"pan_deg": 1.0, "tilt_deg": 0.0}, {"pan_deg": 2.0})},
-            "Reading 2 has no tilt_deg, but other readings have",
-        ),
+        ({"angles_deg": ({"pan_deg": 1.0, "tilt_deg": 0.0}, {"pan_deg": 2.0})}, "Reading 2 has no tilt_deg"),
     ],
 )
 def test_statements_out_of_range_are_refused(changed, fault):

@@ -93,15 +93,9 @@ def test_views_are_compared_by_identity_and_own_their_arrays():
         ({"ids": [str(i) for i in range(N)]}, "ids are not numbers"),
         ({"ids": np.arange(N).reshape(N, 1)}, r"ids have the shape \(6, 1\), and 6 ids need \(6,\)"),
         ({"points_px": np.zeros((N, 1, 2))}, r"points_px have the shape \(6, 1, 2\).*reshape\(-1, 2\)"),
-        (
-            {"points_px": np.zeros((N + 1, 2))},
-            r"points_px have the shape \(7, 2\), and 6 ids .*one row for each id",
-        ),
+        ({"points_px": np.zeros((N + 1, 2))}, r"points_px have the shape \(7, 2\), and 6 ids"),
         ({"target_mm": np.zeros((N, 3))}, r"target_mm have the shape \(6, 3\).*leave out Z"),
-        (
-            {"covariances_px2": 0.04 * np.eye(2)},
-            r"covariances_px2 have the shape \(2, 2\).*one number for all",
-        ),
+        ({"covariances_px2": 0.04 * np.eye(2)}, r"covariances_px2 .*\(2, 2\).*one number for all"),
         ({"image_size": (480, 640, 3)}, r"image_size is \(480, 640, 3\)\. Give width and height"),
         ({"image_size": (640.5, 480)}, "Give width and height"),
         ({"covariances_px2": np.zeros((N, 2, 2))}, "covariance of point 0 is not symmetric with positive"),
@@ -123,10 +117,7 @@ def test_an_image_size_of_any_kind_of_whole_numbers_is_two_integers():
     ("call", "says"),
     [
         (lambda: calibrate(view()), "Of 1 views, 0 can be used"),
-        (
-            lambda: calibrate([(np.zeros((N, 2)), np.zeros((N, 2)))] * 2),
-            "A view is a tuple. Make each: calib.View",
-        ),
+        (lambda: calibrate([(np.zeros((N, 2)), np.zeros((N, 2)))] * 2), "A view is a tuple"),
         (lambda: calibrate([view()], {"distortion": "k1k2"}), "The options are a dict. Make them"),
         (lambda: CalibrationOptions(passport=255.0), "The passport is a float. Make it"),
         (lambda: CalibrationOptions(distortion=2), "The distortion is 2. Name the lens"),

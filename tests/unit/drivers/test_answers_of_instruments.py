@@ -29,10 +29,6 @@ FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
             LightIdentity("SDG", "SDG1025", "SDG10GA1234567", "1.01.01.39R5,04-00-00-30-28"),
         ),
         (
-            "*IDN SDG,SDG810,SDG08CBD6R0561,1.08.01.15R2,08-00-00-13-00",
-            LightIdentity("SDG", "SDG810", "SDG08CBD6R0561", "1.08.01.15R2,08-00-00-13-00"),
-        ),
-        (
             "RIGOL TECHNOLOGIES,DG1022 ,DG1D144904270,,00.03.00.09.00.02.11",
             LightIdentity("RIGOL TECHNOLOGIES", "DG1022", "DG1D144904270", "00.03.00.09.00.02.11"),
         ),

@@ -30,6 +30,7 @@ from tests.benchmarks.worlds.bench import NINE, THREE
 from tests.benchmarks.worlds.catalogue import result as drawn_result
 from tests.benchmarks.worlds.judge import judged
 from tests.support import drawn_benches
+from tests.unit.calib.conftest import Bench
 
 POSES = ((-5.0, 2.0), (5.0, 2.5), (0.5, -2.5), (-5.0, 2.0))
 ANGLES = tuple({"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in POSES)
@@ -38,21 +39,26 @@ READINGS = GimbalReadings(ANGLES, 0.002, 2e-4, 0.001, BOUND, "drawn")
 KNOWN = CalibrationOptions("joint", passport=Passport.of_radius(255.03, 0.05, length="seen"), gimbal=READINGS)
 
 
-@pytest.fixture
-def views(bench):
+@pytest.fixture(scope="module")
+def views():
     """Four views, of which two show the same pose, with smooth errors that differ between them."""
     rng = np.random.default_rng(5)
     moved = []
-    for view in bench.views(rng, 0.02, POSES):
+    for view in Bench().views(rng, 0.02, POSES):
         x, y = ((view.points_px - [640, 360]) / 500.0).T
         error = 0.02 * (rng.standard_normal(2) * x[:, None] ** 2 + rng.standard_normal(2) * (x * y)[:, None])
         moved.append(replace(view, points_px=view.points_px + error))
     return moved
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def optimum(views):
     return adjust(views, KNOWN)
+
+
+@pytest.fixture(scope="module")
+def result(views):
+    return calibrate(views, KNOWN)
 
 
 def test_views_of_one_pose_share_its_field(optimum):
@@ -268,9 +274,8 @@ def test_a_pupil_before_the_pivot_moves_across_the_beam_as_the_camera_turns(benc
     assert shift == pytest.approx(-0.1 * 10.0 * turned[:, 2, :2], abs=1e-9)
 
 
-def test_two_optima_are_compared_with_the_same_weights_of_the_stars(views):
+def test_two_optima_are_compared_with_the_same_weights_of_the_stars(views, optimum):
     """A lens of the wrong family gives up the stars that it does not fit; its own value does not count these."""
-    optimum = adjust(views, KNOWN)
     spoiled = [
         replace(view, points_px=view.points_px + 5.0 * (view.ids % 20 == 0)[:, None]) for view in views
     ]
@@ -281,8 +286,7 @@ def test_two_optima_are_compared_with_the_same_weights_of_the_stars(views):
     assert weighed_as(other, optimum).solve(other.eta).value > other.solution.value + 100.0
 
 
-def test_statements_that_agree_are_not_doubted(views):
-    result = calibrate(views, KNOWN)
+def test_statements_that_agree_are_not_doubted(result):
     assert max(abs(witness.innovation) for witness in result.witnesses) < 3.0
     assert not [note for note in result.notes if "statement" in note]
 
@@ -332,8 +336,7 @@ def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothin
     assert result.left_out_rms_px == pytest.approx(alone.left_out_rms_px, rel=0.05)
 
 
-def test_result_has_amplitudes_witnesses_and_factors(views):
-    result = calibrate(views, KNOWN)
+def test_result_has_amplitudes_witnesses_and_factors(result):
     assert {amplitude.name for amplitude in result.amplitudes} >= {
         "star noise",
         "readings",
@@ -345,8 +348,8 @@ def test_result_has_amplitudes_witnesses_and_factors(views):
     assert sum(shares) == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_passport_whose_common_field_has_other_coefficients_is_refused(views):
-    passport = calibrate(views, KNOWN).passport()
+def test_a_passport_whose_common_field_has_other_coefficients_is_refused(views, result):
+    passport = result.passport()
     fewer = passport.subset([name for name in passport.names if name != "common_1"])
     with pytest.raises(InputMismatch, match=r"common field has 69 .* 70"):
         calibrate(views[:1], CalibrationOptions("joint", passport=fewer))

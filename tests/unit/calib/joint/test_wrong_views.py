@@ -70,7 +70,7 @@ def named_shift(views):
     ],
 )
 def test_the_view_and_the_shift_are_named(place, shift):
-    views = bench(3, count=8)
+    views = bench(3)
     views[place] = misnamed(views[place], *shift)
     assert named_shift(views) == {(f"pose-{place + 1:03d}", *shift)}
 

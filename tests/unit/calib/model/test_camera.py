@@ -138,18 +138,10 @@ def test_a_fisheye_projects_as_opencvs_does():
 
 
 SMALL = (320, 180)
+BROWN_LENS = {"k1": -0.3, "k2": 0.1, "p1": 1e-3, "p2": -5e-4, "k3": 0.02}
 LENSES = {
-    "brown": {"k1": -0.3, "k2": 0.1, "p1": 1e-3, "p2": -5e-4, "k3": 0.02},
-    "rational": {
-        "k1": -0.3,
-        "k2": 0.1,
-        "p1": 1e-3,
-        "p2": -5e-4,
-        "k3": 0.02,
-        "k4": 0.01,
-        "k5": 0.02,
-        "k6": -0.01,
-    },
+    "brown": BROWN_LENS,
+    "rational": {**BROWN_LENS, "k4": 0.01, "k5": 0.02, "k6": -0.01},
     "fisheye": {"kb1": 0.03, "kb2": -0.02, "kb3": 1e-4, "kb4": 4e-4},
 }
 #: OpenCV 4 has a function of its own for more than five iterations.

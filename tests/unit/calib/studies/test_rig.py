@@ -128,8 +128,12 @@ def test_the_collimator_turns_and_the_boards_place():
     assert (np.abs(drawn.off(both)) < 4.0 * np.sqrt(np.diag(both.pose_covariance))).all()
 
 
-def test_a_board_that_moved_between_the_recordings_is_refused():
-    drawn = Drawn(1)
+@pytest.fixture(scope="module")
+def drawn():
+    return Drawn(1)
+
+
+def test_a_board_that_moved_between_the_recordings_is_refused(drawn):
     first, second = drawn.views
     with pytest.raises(InputMismatch, match="one rig: at board-2"):
         with_boards(
@@ -139,17 +143,16 @@ def test_a_board_that_moved_between_the_recordings_is_refused():
         )
 
 
-def test_a_camera_of_another_size_is_refused():
-    drawn = Drawn(1)
+def test_a_camera_of_another_size_is_refused(drawn):
     with pytest.raises(InputMismatch, match=r"1920 x 1200 px, .* 1280 x 720"):
         with_boards(stated_cameras(*drawn.cameras[::-1]), *drawn.views)
 
 
 @pytest.mark.slow
-def test_boards_that_only_one_camera_saw_are_refused():
-    first, second = Drawn(1).views
+def test_boards_that_only_one_camera_saw_are_refused(drawn):
+    first, second = drawn.views
     with pytest.raises(DegenerateViews, match="share no pose"):
-        with_boards(stated_cameras(*Drawn(1).cameras), first[:4], second[4:])
+        with_boards(stated_cameras(*drawn.cameras), first[:4], second[4:])
 
 
 def from_the_other_end(view):

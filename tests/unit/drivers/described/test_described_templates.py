@@ -97,11 +97,7 @@ def test_a_request_takes_known_values_only() -> None:
         ("{v:integer.5}", -7, "-0007"),
         ("{v:signed_hex.4}", -2, "FFFE"),
         ("A:{v:sign}P{v:size}", -0.4, "A:+P0"),
-        (
-            ":w21={v:word}.",
-            50.0,
-            ":w21=50.",
-        ),  # JDS6600: no reply could end so, for a word may hold a full stop
+        (":w21={v:word}.", 50.0, ":w21=50."),  # JDS6600: no reply could end so; a word may hold a full stop
     ],
 )
 def test_numbers_are_sent_in_the_devices_own_digits(request_, value, text) -> None:

@@ -30,9 +30,7 @@ def sealed(body: str) -> bytes:
         (0, 0, 0, "", b"/0 0 00:00\n"),
         (1, 0, 1, "get comm.packet.size.max", b"/1 0 01 get comm.packet.size.max:CF\n"),
         (1, 1, 3, "home", b"/1 1 03 home:32\n"),
-        (1, 1, 4, "", b"/1 1 04:FA\n"),
         (1, 1, 5, "move abs 50000", b"/1 1 05 move abs 50000:B7\n"),
-        (1, 1, 2, "get pos", b"/1 1 02 get pos:2A\n"),
         (0, 0, 11, "stop", b"/0 0 11 stop:18\n"),
     ],
 )

@@ -127,10 +127,7 @@ def damage(path, change):
     ("change", "message"),
     [
         (lambda file: file.__delitem__("CD/events"), "CD/events is missing"),
-        (
-            lambda file: [file.attrs.pop(key) for key in ("geometry", "format")],
-            "does not state the sensor's size",
-        ),
+        (lambda file: [file.attrs.pop(key) for key in ("geometry", "format")], "state the sensor's size"),
         (lambda file: file.attrs.__setitem__("geometry", "wide"), "invalid size of the sensor"),
         (lambda file: file.attrs.__setitem__("geometry", "100x100"), "format states 1280 x 720, geometry"),
         (lambda file: file["CD/events"].resize((10**6,)), "are missing|instead of 16384"),
