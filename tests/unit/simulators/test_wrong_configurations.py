@@ -17,7 +17,6 @@ camera_seed: null -> camera_seed
 collimator: {r: .nan} -> collimator.r
 faults: {} -> faults
 faults: [{device: pan, fault: hiccup}] -> faults[0].fault
-gimbal: {wobble: 1} -> gimbal.wobble
 gimbal: {wobble_deg: -0.1} -> gimbal.wobble_deg
 gimbal: {scale: 1.001} -> gimbal.scale.pan
 gimbal: {scale: {yaw: 0.1}} -> gimbal.scale.yaw
@@ -31,7 +30,6 @@ lens: {f_number: 0.5} -> lens.f_number -> from 1 to 32
 lens: {pixel_um: -4.86} -> lens.pixel_um -> not positive
 lens: {pixel_um: 60} -> lens.pixel_um -> at most 100 mm
 lens: {focus: 1} -> lens.focus -> focus_distance_m
-light: {error_queue: 1} -> light.error_queue
 light: {kind: candle} -> light.kind
 mount: {vibration_hz: -1} -> mount.vibration_hz
 mount: {shift_mm: 3} -> mount.shift_mm
@@ -39,14 +37,12 @@ noise: loud -> noise
 optics: {mounting_deg: [1, 2]} -> optics.mounting_deg
 paced: "yes" -> paced
 ports: usb -> ports
-reticle: {bow: 0.1} -> reticle.bow
 stage: {left_behind: CV} -> stage.left_behind -> list of texts
 stage: {kind: ximc, left_behind: [home]} -> stage.left_behind -> hexadecimal
 reticle: {bow_radius_mm: 0} -> reticle.bow_radius_mm
 reticle: {polarity: both} -> reticle.polarity -> Unknown polarity 'both'
 stag: {} -> stag
 stage: {yaw: {}} -> stage.yaw
-stage: {pan: {limits: 5}} -> stage.pan.limits
 stage: {pan: {limit_deg: -5}} -> stage.pan.limit_deg
 stage: {pan: {start_deg: 50}} -> stage.pan.start_deg
 stage: {pan: {microsteps_per_deg: 1.5}} -> stage.pan.microsteps_per_deg
