@@ -23,8 +23,6 @@ HALVINGS = 6
 _MOST_STEPS = 30
 #: A search ends where a step promises less than this of -2 log: 0.01 is a tenth of a sigma.
 ROUGH, FINE = 0.02, 1e-3
-#: Products of columns are faster from so many times more rows on.
-_MANY = 2
 #: The curvature is found again after a step that changes a logarithm by more than this.
 _CURVED = 0.3
 
@@ -63,10 +61,8 @@ def expected_curvature(solution: Solution) -> Array:
 def _of_products(rows: Array, belongs: Array) -> Array:
     """Return (A, A) the sums of the squares of the products of (N, S) rows that belong to (N, A) amplitudes, 0 or 1.
 
-    By the products of the columns if there are many rows: |A B^T|^2 = tr (A^T A) (B^T B).
+    By the products of the columns: |A B^T|^2 = tr (A^T A) (B^T B).
     """
-    if len(rows) < _MANY * rows.shape[1]:
-        return np.asarray(belongs.T @ (rows @ rows.T) ** 2 @ belongs)
     sums = np.zeros((belongs.shape[1], belongs.shape[1]))
     places = np.flatnonzero(belongs.any(axis=0))
     columns = [rows[belongs[:, at] > 0.0] for at in places]

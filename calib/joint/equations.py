@@ -182,7 +182,7 @@ class Bench:
     def linearised(
         self,
         state: State,
-        limit: float,
+        limit: float = 1.0,
         before: Equations | None = None,
         entries: Places | None = None,
     ) -> Equations:

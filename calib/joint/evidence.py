@@ -19,7 +19,7 @@ from calib.joint.solve import Optimum
 def weighed_as(there: Optimum, than: Optimum) -> Marginal:
     """Return the equations of an optimum with the weights that the stars have at another."""
     problem = there.marginal.problem
-    same = problem.bench.linearised(there.state, 1.0, than.marginal.equations)
+    same = problem.bench.linearised(there.state, before=than.marginal.equations)
     return Marginal(problem, same, there.state)
 
 

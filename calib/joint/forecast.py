@@ -39,8 +39,6 @@ __all__ = ["PoseInformation", "PredictedViews", "Summary", "amplitudes"]
 
 #: With half as many, expected uncertainties of neighbouring poses scatter by 8 %.
 _PAIRS = 24
-#: Robust limit of predicted stars; they have no residuals.
-_LIMIT = 1.0
 
 
 class PredictedViews:
@@ -69,7 +67,7 @@ class PredictedViews:
         return summarised(expected)
 
     def _posterior(self, eta: Array) -> Posterior:
-        marginal = Marginal(self._problem, self._problem.bench.linearised(self._state, _LIMIT), self._state)
+        marginal = Marginal(self._problem, self._problem.bench.linearised(self._state), self._state)
         try:
             middle = _still(marginal.solve(eta))
             curvature = 0.5 * expected_curvature(middle)
@@ -88,7 +86,7 @@ class PredictedViews:
         turns, axes = turns_of(self.start.rotations, apart)
         bench = replace(problem.bench, poses=apart, turns=turns, axes=axes, pupils=sines_of(turns))
         state = replace(self._state, fields=np.zeros((len(self.views), self._state.fields.shape[1])))
-        equations = bench.linearised(state, _LIMIT)
+        equations = bench.linearised(state)
         own = normal_of_poses(replace(problem, bench=bench), equations, state, squares)[:, :, :-1]
         maps = bench.maps.copy()
         maps[:, :, bench.layout.index[DRIFT]] = 0.0  # it is not known when a pose will be recorded

@@ -27,7 +27,6 @@ _OUTLIER = 4.0
 #: (by chance in 1 of 1000 pairs: 12 coefficients instead of 3), and is larger than this share of the noise's variance.
 #: Repeats in 360 drawn pairs had .12 at most. Of 55 pairs that were no repeats, 37 pass.
 _DECISIVE, _SMOOTH = 28.0, 0.25
-_COEFFICIENTS = 12
 #: Smallest residual that counts, px: views can be copies.
 _EXACT_PX = 1e-6
 
@@ -55,10 +54,10 @@ def _moved(first: View, second: View, camera: CameraModel) -> bool:
     rays = camera.rays(first.points_px[i])
     kept = np.isfinite(rays).all(axis=1)
     rays, movements = rays[kept], (second.points_px[j] - first.points_px[i])[kept]
-    if 2 * len(rays) <= _COEFFICIENTS:
-        return False
     x, y = rays[:, 0], rays[:, 1]
     smooth = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
+    if len(smooth) <= smooth.shape[1]:
+        return False
     left = np.linalg.norm(movements - smooth @ np.linalg.lstsq(smooth, movements)[0], axis=1)
     good = left <= _OUTLIER * np.median(left)
     by_point = camera.project_with_jacobians(rays)[1]
@@ -67,7 +66,7 @@ def _moved(first: View, second: View, camera: CameraModel) -> bool:
     rest = _squares(smooth[good], movements[good])
     more = max(_squares(by_turn.reshape(-1, 3), movements[good].reshape(-1)) - rest, 0.0)
     share = more / max(rest, good.sum() * _EXACT_PX**2)
-    return share > _SMOOTH and (2 * int(good.sum()) - _COEFFICIENTS) * math.log1p(share) > _DECISIVE
+    return share > _SMOOTH and 2 * (int(good.sum()) - smooth.shape[1]) * math.log1p(share) > _DECISIVE
 
 
 def _squares(design: Array, values: Array) -> float:

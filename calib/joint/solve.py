@@ -24,8 +24,6 @@ from calib.joint.prior import Faults
 from calib.joint.stars import robust_sigma
 from calib.progress import in_round
 
-#: Rounds with large robust limits, before the first search of amplitudes.
-_FIRST_ROUNDS = 1
 #: Stars begin as noisy as this share of their residuals there, but not better than stated.
 _FIRST_NOISE = 0.03
 #: Stars are weighed again in so many rounds with a short step, and then no more: a k-step M-estimator (Bickel, 1975).
@@ -110,7 +108,7 @@ def search(problem: Problem, start: State, rounds: int, eta: Array | None = None
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
         short_steps += relative_step(marginal, solution.step) < TRUSTED
         placed = problem.pupils is None or short_steps > 1
-        if k > _FIRST_ROUNDS and placed and small(solution, share):
+        if k > 1 and placed and small(solution, share):
             if k < _LATE and pace.size == 1.0:
                 solution = searched(solution)
             if small(solution, share):
@@ -119,9 +117,7 @@ def search(problem: Problem, start: State, rounds: int, eta: Array | None = None
         if short_steps and problem.pupils is not None:
             problem, state, lengths = _placed(solution, state, pace.size)
         eta, spread = solution.eta, robust_sigma(lengths)
-        limit = spread if k else 3.0 * spread
-        if k >= _FIRST_ROUNDS:
-            limit = max(limit, float(np.sqrt(solution.star_variance)))
+        limit = max(spread, float(np.sqrt(solution.star_variance))) if k else 3.0 * spread
         equations = problem.bench.linearised(state, limit, equations if short_steps >= _REWEIGHTED else None)
     return Optimum(marginal.solve(eta), rounds, converged=False)
 
@@ -151,8 +147,11 @@ class _Pace:
 
 
 def _in_round(k: int, solution: Solution, pace: _Pace) -> tuple[Solution, _Pace]:
-    """Return the solution and the pace of a round; ``solution`` has the amplitudes of the last round."""
-    if not _FIRST_ROUNDS <= k < _LATE:
+    """Return the solution and the pace of a round; ``solution`` has the amplitudes of the last round.
+
+    The first round keeps its amplitudes; its robust limits are wide.
+    """
+    if k == 0 or k >= _LATE:
         return solution, pace
     better = trusted_amplitudes(solution)
     pace = pace.after(better.eta - solution.eta)
@@ -313,7 +312,9 @@ def _corrected(marginal: Marginal, squares: Array, state: State) -> tuple[State,
     bench = marginal.problem.bench
     own = bench.layout.own.places
     for _ in range(_CORRECTIONS):
-        behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations, own), state)
+        behind = Marginal(
+            marginal.problem, bench.linearised(state, before=marginal.equations, entries=own), state
+        )
         with _solvable():
             fields = behind.own_steps(squares)
         state = moved(behind, squares, np.zeros_like(state.shared), fields)
