@@ -337,11 +337,8 @@ def _approached(problem: Problem, start: State, task: Task) -> State:
     One whose radius is far from what the views alone show is another collimator's, and is refused: camera, lens and
     fields would take up even twice the radius.
     """
-    equations, knowledge, rounds = (
-        first_equations(problem, start),
-        problem.knowledge,
-        task.options.max_iterations,
-    )
+    equations, knowledge = first_equations(problem, start), problem.knowledge
+    rounds = task.options.max_iterations
     others = tuple(statement for statement in knowledge.statements if statement.name != CERTIFICATE)
     problem = replace(problem, faults=_NEARLY_SQUARE)
     free = replace(problem, knowledge=replace(knowledge, statements=others))

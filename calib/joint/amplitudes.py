@@ -93,9 +93,8 @@ class Family:
     level: float  # 1-sigma of the logarithm of their common level
     scatter: float  # 1-sigma of each logarithm about level and slope
     slope: float = 0.0  # 1-sigma of how much the logarithm changes from one to the next
-    glass: float = (
-        0.0  # 1-sigma of the level that it shares with the other families of the collimator's glass
-    )
+    # 1-sigma of the level that it shares with the other families of the collimator's glass
+    glass: float = 0.0
 
     def first(self, count: int) -> Family:
         """Return the family of the first amplitudes alone."""

@@ -53,10 +53,8 @@ DOUBTED = 0.2
 FOCAL = "focal length"
 #: Names of witnesses.
 CERTIFICATE = "certificate of the collimator"
-CHANGED_AXIS, CHANGED_RADIUS = (
-    "change of the axis since the passport",
-    "change of the radius since the passport",
-)
+CHANGED_AXIS = "change of the axis since the passport"
+CHANGED_RADIUS = "change of the radius since the passport"
 CHANGED_RADIAL = "change of the radial errors since the passport"
 CHANGED_FIELD = "size of irregular changes since the passport"
 SCALE_OF, ORTHOGONAL = "scale of {}", "axes at a right angle"

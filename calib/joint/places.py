@@ -108,11 +108,8 @@ def _information(seen: _Seen, moved: Array, solution: Solution) -> Array:
 
 
 def _seen(solution: Solution) -> _Seen:
-    marginal, bench, equations = (
-        solution.marginal,
-        solution.marginal.problem.bench,
-        solution.marginal.equations,
-    )
+    marginal, bench = solution.marginal, solution.marginal.problem.bench
+    equations = marginal.equations
     own = bench.layout.own.places
     information, right = equations.squares / solution.star_variance, equations.right / solution.star_variance
     shared = equations.maps.swapaxes(1, 2) @ information
@@ -134,13 +131,9 @@ def _of_determinant(solution: Solution) -> tuple[Array, Array]:
     Without them the places would follow fields that are hardly known. Readings have no part in them. Where a pose alone
     determines the fields, its place changes hardly any determinant: only what others know of it bends.
     """
-    marginal, bench, layout = (
-        solution.marginal,
-        solution.marginal.problem.bench,
-        solution.marginal.problem.bench.layout,
-    )
+    marginal, bench = solution.marginal, solution.marginal.problem.bench
     stars = marginal.equations.squares / solution.star_variance
-    by_turn, own = layout.by_turn, layout.own.places
+    by_turn, own = bench.layout.by_turn, bench.layout.own.places
     left = stars - stars[:, :, own] @ solution.own @ stars[:, own]
     maps = marginal.equations.maps
     spread = maps @ solution.covariance

@@ -34,11 +34,8 @@ class Reported:
         """Return the coverage factors; sigmas: (K,). U of k1 to k3 also covers the coefficients of the whole series."""
         layout = posterior.optimum.marginal.problem.bench.layout
         units = np.eye(len(layout.names))[layout.places(self.names)]
-        taken = (
-            np.abs(self.follows) * abs(float(posterior.mean[layout.index[R8]]))
-            if R8 in layout.index
-            else 0.0 * sigmas
-        )
+        series = float(posterior.mean[layout.index[R8]]) if R8 in layout.index else 0.0
+        taken = np.abs(self.follows * series)
         halves = [
             posterior.expanded(row) if follow == 0.0 else posterior.expanded(unit) + more
             for row, unit, follow, more in zip(self.rows, units, self.follows, taken, strict=True)

@@ -67,11 +67,8 @@ def calibrate_jointly(
     result = _calibration(posterior, views, used, parameters, gimbal)
     from calib.joint.causes import find_causes  # here: it brings scipy, which a forecast does not need
 
-    of_views = (
-        shifted,
-        focus.as_cause(kept) if focus else None,
-        find_other_origins(posterior.optimum, kept),
-    )
+    of_focus = focus.as_cause(kept) if focus else None
+    of_views = shifted, of_focus, find_other_origins(posterior.optimum, kept)
     result = replace(result, causes=find_causes(result, posterior, of_views, options))
     return replace(result, notes=notes(result, posterior))
 
@@ -196,12 +193,8 @@ def _witnesses(posterior: Posterior) -> tuple[Witness, ...]:
     witnesses = []
     for innovation in posterior.innovations():
         statement, together = innovation.statement, len(innovation.statement.values) > 1
-        numbers = (
-            statement.values[0],
-            np.sqrt(statement.covariance[0, 0]),
-            innovation.expected[0],
-            innovation.sigma[0],
-        )
+        said = statement.values[0], np.sqrt(statement.covariance[0, 0])
+        numbers = (*said, innovation.expected[0], innovation.sigma[0])
         stated, sigma, expected, spread = (None if together else float(number) for number in numbers)
         what = innovation.name, statement.source, statement.unit
         witnesses.append(
@@ -219,10 +212,8 @@ def _size(posterior: Posterior, name: str, source: str, amplitude: str) -> Witne
     """Return the witness of errors whose size is expected: how many times as large they are."""
     hyper = posterior.optimum.marginal.problem.hyper
     at = hyper.at(amplitude)
-    log_times, width = (
-        float(posterior.optimum.eta[at] - hyper.mean[at]),
-        float(np.sqrt(hyper.covariance[at, at])),
-    )
+    log_times = float(posterior.optimum.eta[at] - hyper.mean[at])
+    width = float(np.sqrt(hyper.covariance[at, at]))
     times = float(np.exp(log_times))
     spread = times * float(posterior.spread[at])
     return Witness(name, source, "times stated", 1.0, width, times, spread, -log_times / width, 0.0)
@@ -287,10 +278,8 @@ def _gimbal(posterior: Posterior, options: CalibrationOptions) -> GimbalEstimate
     )
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
     if not entered:  # the mean may hold other scales instead
-        times, off = (
-            float(np.exp(posterior.optimum.eta[reading])),
-            bench.readings_off(posterior.optimum.state),
-        )
+        times = float(np.exp(posterior.optimum.eta[reading]))
+        off = bench.readings_off(posterior.optimum.state)
     stated = [
         (name, u) for name, u in zip(names, unit, strict=True) if entered and not name.startswith(ENCODER)
     ]
