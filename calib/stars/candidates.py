@@ -266,8 +266,8 @@ def _label_without_tag(
         raise TargetNotFound(
             f"Tag {target.tag_id} of family {target.tag_family} is not in the image as a whole, and no pattern of "
             "stars was found.",
-            remedy="Turn the camera so that the tag is in view; check focus and light; look for dust and for what "
-            "covers parts of the picture; check the target's description.",
+            remedy="Turn the camera so that the tag is in view; check focus and light; look for dust, fog or a "
+            "reflection, and for what covers parts of the picture; check the target's description.",
         )
     named_by: NamedBy = "part of the tag"
     if isinstance(labels, StarsUnnamed):

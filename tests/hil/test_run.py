@@ -65,9 +65,11 @@ def test_a_notebook_reads_the_run_and_finds_its_stars_again_without_its_results(
     for pose, other in zip(again.poses, run.poses, strict=True):
         assert (pose.index, pose.name, pose.commanded_deg) == (other.index, other.name, other.commanded_deg)
         assert pose.measured_deg == other.measured_deg
+        assert pose.view.recorded_s == other.view.recorded_s
         assert np.array_equal(pose.view.points_px, other.view.points_px)
         assert np.array_equal(pose.residuals_px, other.residuals_px)
     assert np.array_equal(again.poses[0].picture, run.poses[0].picture)
+    assert (np.diff([pose.view.recorded_s for pose in run.poses]) > 0.0).all()
 
 
 def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, home):

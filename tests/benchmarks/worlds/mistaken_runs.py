@@ -129,6 +129,10 @@ RUN_MISTAKES: Mapping[str, RunMistake] = {
     "ring turned by 3 degrees in the run": RunMistake(
         named=(of_views.FOCUSED,), order={"device": "lens", "fault": "turn", "deg": 3.0}
     ),
+    "camera creeps in its mount": RunMistake(
+        _simulation("mount", drift_arcsec_per_min=[900.0, 300.0]), (of_views.CREEPS,)
+    ),
+    "fog on the lens": RunMistake(_simulation("optics", psf_px=2.0), (), "fog"),
     "camera upside down": RunMistake(
         _simulation("optics", mounting_deg=[0.2, -0.1, 170.0])
     ),  # which is right
