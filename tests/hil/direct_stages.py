@@ -292,7 +292,7 @@ FAMILIES = {
         named_board,
         lambda line: GrblStage(
             line,
-            [GrblAxis(letter="X", steps_per_deg=640.0, zero_deg=16.0, **PAN)],
+            [GrblAxis(letter="X", steps_per_deg=640, zero_deg=16, **PAN)],
             serial="gimbal",
             clock=line.clock,
         ),
@@ -301,7 +301,7 @@ FAMILIES = {
         of_bench("flir_ptu", 800, "E1042"),
         lambda line: TextStage(
             line,
-            [TextAxis(address="P", counts_per_deg=800.0, **PAN)],
+            [TextAxis(address="P", counts_per_deg=8e2, **PAN)],
             FLIR_PTU,
             serial="E1042",
             clock=line.clock,

@@ -64,10 +64,7 @@ def test_another_device_than_the_expected_one_is_refused_before_anything_moves(
     [
         (["--expect-serial", "-"], "No serial number was scanned."),
         (["--expect-serial", "a\tb"], "is no serial number."),
-        (
-            ["--expect-serial", "5", "--set", "station.camera.serial=6"],
-            "--expect-serial cannot be used with --set",
-        ),
+        (["--expect-serial", "5", "--set", "station.camera.serial=6"], "--set"),
     ],
 )
 def test_a_text_that_is_no_serial_number_is_one_clear_error_and_nothing_is_written(
@@ -79,6 +76,18 @@ def test_a_text_that_is_no_serial_number_is_one_clear_error_and_nothing_is_writt
     assert message in err
     assert len(err.strip().splitlines()) == 1
     assert not Path("out").exists()
+
+
+def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording):
+    write("text.raw", "this is no recording")
+    whole = evk4_recording.read_bytes()
+    Path("half.raw").write_bytes(whole[:-100_001])  # words have two bytes
+    cut = "cut in the middle of a word, and used up to there: half.raw."
+    for name, words, status in (("text.raw", "not a", 2), ("half.raw", cut, 1)):
+        end, (_, message) = ended(capsys, "calibrate", name)
+        assert end == status
+        assert name in message
+        assert words in message.lower()
 
 
 def test_a_changed_sequence_is_not_resumed(capsys):

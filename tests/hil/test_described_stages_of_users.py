@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.stations.station_text import read_stage_protocol
-from drivers.errors import DeviceRefused, DriverError, MoveFailed, OutsideLimits
+from drivers.errors import DeviceRefused, DriverError, MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
@@ -171,6 +171,13 @@ def test_a_motion_that_begins_late_is_waited_for(clock) -> None:
     with pytest.raises(DeviceRefused, match="'1TE' is answered by 'K'"):  # told late, too
         stage.home()
     assert not stage.is_homed()
+
+
+def test_a_state_that_is_neither_idle_nor_a_motion_is_named(clock) -> None:
+    wire, _ = smc100(clock)
+    wire.known["state"] = "14"  # configuration
+    with pytest.raises(MoveTimeout, match=r"'1TS' .* '14'"):
+        opened(wire, described("smc100"), ("1", 1.0))
 
 
 # ------------------------------------------------------------ a target, then a start; one answer of two axes

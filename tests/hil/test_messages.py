@@ -15,13 +15,7 @@ from bench.run.messages.outbox import DeliveryFailed, Message
 from bench.stations.messages_section import AppriseConfig, MailConfig
 
 MESSAGE = Message(
-    "k" * 64,
-    "end",
-    "Starbench: run ü finished",
-    "all is well ü\n",
-    "ü",
-    "/runs/ü",
-    "2026-03-01T20:00:00+00:00",
+    "k" * 64, "end", "Starbench: ü finished", "all is well ü\n", "ü", "/runs/ü", "2026-03-01T20:00:00+00:00"
 )
 
 

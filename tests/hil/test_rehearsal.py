@@ -7,7 +7,7 @@ import pytest
 from station_texts import PLAIN
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.base.errors import RunFolderError, UsageError
+from bench.base.errors import RunFolderError, ScriptError, UsageError
 from bench.batch.batch import Batch
 from bench.batch.batch_plan import plan_batch, read_queue
 from bench.batch.batch_rehearsal import rehearse_batch
@@ -183,3 +183,13 @@ def test_the_run_folder_keeps_the_files_with_the_settings_in_them(tmp_path):
     assert (tmp_path / "run" / "station.yaml").read_bytes() == shipped
     stored = [e.data for e in entries if e.event == "capture_stored"]
     assert stored[0]["facts"]["duration_s"] == pytest.approx(4 / 60 + 1e-3)
+
+
+def test_files_with_a_fault_are_refused_as_for_a_run(tmp_path):
+    settings = {"station.stage.axes.pan.limits_deg": "[-1, 1]"}
+    with pytest.raises(ScriptError, match="outside the limits"):
+        rehearse_run(
+            "three_pose", "simulated", seed=1, operator=None, folder=tmp_path / "run",
+            clock=VirtualClock(EVENING), settings=settings,
+        )  # fmt: skip
+    assert not (tmp_path / "run").exists()

@@ -52,13 +52,8 @@ def vxm(clock: VirtualClock) -> tuple[Wire, Motor]:
 
 def opened() -> tuple[TextStage, Wire, Motor]:
     wire, motor = vxm(VirtualClock())
-    axis = TextAxis(
-        name="pan",
-        limits=AxisLimits(-15.0, 15.0, SPEED, 1e3),
-        address="X",
-        counts_per_deg=SCALE,
-        tolerance_deg=0.01,
-    )
+    limits = AxisLimits(-15.0, 15.0, SPEED, 1e3)
+    axis = TextAxis(name="pan", limits=limits, address="X", counts_per_deg=SCALE, tolerance_deg=0.01)
     protocol = read_stage_protocol(described("vxm")).value.for_driver()
     return TextStage(wire, [axis], protocol, clock=wire.clock), wire, motor
 

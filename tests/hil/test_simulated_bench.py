@@ -20,13 +20,9 @@ from simulators.faults.catalogue import fault_order_from_text
 
 def start(folder, *words: str, until_eof: bool = True) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "simulators.bench", "--folder", str(folder), *words]
-    return subprocess.Popen(
-        command + ["--until-eof"] * until_eof,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command += ["--until-eof"] * until_eof
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
 
 
 def ask(line: serial.Serial, request: str) -> str:

@@ -60,12 +60,8 @@ def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: Strobe):
     strobe.say("RT1,5,1,40")
     assert not strobe.light.output
     strobe.say("TT1,10")
-    assert (strobe.light.output, strobe.light.low, strobe.light.high, strobe.light.duty_percent) == (
-        True,
-        0.0,
-        0.4,
-        50.0,
-    )
+    light = strobe.light
+    assert (light.output, light.low, light.high, light.duty_percent) == (True, 0.0, 0.4, 50.0)
     strobe.say("TT0")
     assert (strobe.light.output, strobe.light.sync) == (False, False)
 

@@ -64,6 +64,15 @@ def test_a_unit_in_any_mode_stands_until_it_is_homed_and_then_points_right(unit,
     assert stage.faults() == []
 
 
+def test_a_unit_found_moving_in_velocity_control_is_stopped_and_stays(unit) -> None:
+    left_in(unit, b"CV PS400 ", after_s=2.0)
+    unit.reopen()
+    stood_deg = unit.true_deg()
+    assert 2.5 < stood_deg < 6.0
+    unit.line.clock.sleep(20.0)
+    assert unit.true_deg() == pytest.approx(stood_deg, abs=1e-3)
+
+
 @pytest.mark.parametrize("mode", [b"WPQ ", b"WPF "])
 def test_a_step_mode_that_comes_into_force_by_the_homing_is_no_other_scale(unit, mode) -> None:
     left_in(unit, mode)
@@ -214,6 +223,12 @@ def test_a_reversed_motor_is_refused_where_the_station_states_it(ximc) -> None:
     with pytest.raises(OutsideLimits, match="reversed: false"):
         again(ximc, reversed=False)
     again(ximc, reversed=True)
+
+
+def test_a_motor_whose_speed_is_limited_is_refused(ximc) -> None:
+    leave(ximc, "eng", p2=500, p3=0, p4=0x90)
+    with pytest.raises(OutsideLimits, match="5 deg/s"):
+        ximc.reopen()
 
 
 def test_other_microsteps_than_at_opening_are_refused(ximc) -> None:

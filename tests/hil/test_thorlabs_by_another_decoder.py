@@ -78,6 +78,26 @@ def test_another_client_homes_moves_and_stops_the_simulated_controller(name) -> 
     assert speed.max_velocity / 10.0 == pytest.approx(factor, rel=1e-4)
 
 
+def test_a_servo_controller_sends_no_more_updates_without_signs_of_life() -> None:
+    device, _ = controller("KDC101")
+    request = apt.mot_req_dcstatusupdate(UNIT, HOST, 1)
+    assert len([1 for _ in range(60) if device.receive(request)]) == 50
+    assert device.receive(apt.mot_ack_dcstatusupdate(UNIT, HOST) + request)
+
+
+def test_updates_come_until_they_are_switched_off() -> None:
+    device, clock = controller("KDC101")
+    device.receive(apt.hw_start_updatemsgs(UNIT, HOST))
+    updates = b""
+    for _ in range(10):
+        clock.sleep(0.11)
+        updates += device.unsolicited()
+    assert len(decoded(updates)) == 10
+    device.receive(apt.hw_stop_updatemsgs(UNIT, HOST))
+    clock.sleep(1.0)
+    assert device.unsolicited() == b""
+
+
 def test_the_driver_reads_bits_and_identity_as_the_other_decoder_does() -> None:
     rng = np.random.default_rng(1)
     for bits in (1 << np.arange(32, dtype=np.int64)).tolist() + rng.integers(0, 2**32, 300).tolist():
@@ -91,14 +111,8 @@ def test_the_driver_reads_bits_and_identity_as_the_other_decoder_does() -> None:
             getattr(theirs, word)
             for word in ("moving_forward", "moving_reverse", "jogging_forward", "jogging_reverse", "homing")
         )
-        assert len(mine.limits) == sum(
-            (
-                theirs.forward_limit_switch,
-                theirs.reverse_limit_switch,
-                theirs.forward_limit_soft,
-                theirs.reverse_limit_soft,
-            )
-        )
+        ends = [f"{way}_limit_{kind}" for way in ("forward", "reverse") for kind in ("switch", "soft")]
+        assert len(mine.limits) == sum(getattr(theirs, end) for end in ends)
         assert ("too hot" in mine.faults) == theirs.overtemp
         assert ("encoder fault" in mine.faults) == theirs.encoder_fault
         assert any("(position error)" in fault for fault in mine.faults) == theirs.motion_error

@@ -118,3 +118,11 @@ def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(r
     rig.stage.home()
     rig.stage.move_to({"pan": 5.0})
     assert rig.true_deg() == pytest.approx(5.0, abs=1e-3)
+
+
+def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
+    rig = rig_of("thorlabs")
+    rig.stage.home()
+    asked = [sent for sent in rig.line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]
+    assert len(asked) > 20
+    assert all(sent.startswith(apt.short(apt.STILL_THERE)) for sent in asked)

@@ -131,14 +131,8 @@ def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tm
     station = write_station(tmp_path / "station.yaml")
     station.write_text(station.read_text().replace("ports: pty, ", ""))
     words = ["run", sequence, "-s", station, "--seed", 7, "-o", folder]
-    process = subprocess.Popen(
-        [*STARBENCH, *map(str, words)],
-        env=bare,
-        stdin=theirs,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command, pipe = [*STARBENCH, *map(str, words)], subprocess.PIPE
+    process = subprocess.Popen(command, env=bare, stdin=theirs, stdout=pipe, stderr=pipe, text=True)
     try:
         deadline = time.monotonic() + PATIENCE_S
         while not any(line["event"] == "asked" for line in journal(folder)):

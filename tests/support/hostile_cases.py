@@ -86,11 +86,8 @@ def wrong_files(run: Path) -> Iterator[Case]:
     for reader, (words, name) in READERS.items():
         given = [str(run) if word == "RUN" else word for word in words]
         for wrong, write in WRONG.items():
-            yield Case(
-                f"{reader}:{wrong}",
-                _file(given, name, write),
-                named=not reader.endswith(("signers", "verify")),
-            )
+            named = not reader.endswith(("signers", "verify"))
+            yield Case(f"{reader}:{wrong}", _file(given, name, write), named=named)
 
 
 def spoilt_files() -> Iterator[Case]:
@@ -111,11 +108,8 @@ def spoilt_files() -> Iterator[Case]:
     for name, content in PICTURES.items():
         yield Case(f"picture:{name}", _file(("calibrate", "{}"), f"bad-{name}", text(content)))
     for name, content in POINTS.items():
-        yield Case(
-            f"points:{name}",
-            _file(("calibrate", "{}"), "bad.csv", text(content)),
-            named=name not in _ONE_VIEW,
-        )
+        make = _file(("calibrate", "{}"), "bad.csv", text(content))
+        yield Case(f"points:{name}", make, named=name not in _ONE_VIEW)
 
         def three(folder, content=content):
             (folder / "bad").mkdir()

@@ -71,14 +71,8 @@ def simulated(
     profile: The collimator, "like-real" by default.
     """
     rng = np.random.default_rng(glass)
-    collimator = replace(
-        profile or COLLIMATORS["like-real"],
-        x=X_MM,
-        y=Y_MM,
-        r=R_MM,
-        half_angle_deg=HALF_ANGLE_DEG,
-        glass_seed=glass,
-    )
+    profile = profile or COLLIMATORS["like-real"]
+    collimator = replace(profile, x=X_MM, y=Y_MM, r=R_MM, half_angle_deg=HALF_ANGLE_DEG, glass_seed=glass)
     half_rim = 0.5 * collimator.rim * 55.0 / optics.TARGET.pitch_mm
     views = []
     for number, (rotation, disc) in enumerate(zip(recorded.rotations, recorded.discs, strict=True), 1):

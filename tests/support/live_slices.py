@@ -69,12 +69,8 @@ def write_slice(
     values = np.repeat(np.array([1, 0], np.uint8), len(up))
     inside = (edges >= 0) & (edges < length_us) & triggers
     order = np.argsort(edges[inside])
-    words = Evt3Writer().write(
-        *events,
-        until_us=length_us + 1,
-        trigger_t=edges[inside][order].astype(np.int64),
-        trigger_value=values[inside][order],
-    )
+    triggers_us, values = edges[inside][order].astype(np.int64), values[inside][order]
+    words = Evt3Writer().write(*events, until_us=length_us + 1, trigger_t=triggers_us, trigger_value=values)
     path.write_bytes(HEADER + words.astype("<u2").tobytes())
     return path
 

@@ -98,10 +98,12 @@ def _back_after(error, seconds):
 
 
 FAILED, ENDED = frozenset({"failed"}), frozenset({"finished", "failed"})
+MOVE, MOVES, STAGE = ("stage.move_to",), ("stage.move_to", "stage.home"), ("stage.", "open")
 ABORTED, FINISHED = frozenset({"aborted"}), frozenset({"finished"})
+GONE = raising(PortLost("gone"))
 FAULTS = (
-    Fault("stage unplugged", ("stage.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
-    Fault("light unplugged", ("light.", "open"), raising(PortLost("gone")), FAILED, lasts=True),
+    Fault("stage unplugged", STAGE, GONE, FAILED, lasts=True),
+    Fault("light unplugged", ("light.", "open"), GONE, FAILED, lasts=True),
     # After the last recording the camera is only asked how it is left: the run finishes, and says that it
     # does not answer.
     Fault("camera unplugged", ("camera.", "open"), raising(CameraLost("gone")), ENDED, lasts=True),
@@ -116,50 +118,18 @@ FAULTS = (
         )
         for device, error in (("stage", PortLost), ("light", PortLost), ("camera", CameraLost))
     ),
-    Fault(
-        "stage lost permanently, interlock `device_lost`",
-        ("stage.", "open"),
-        raising(PortLost("gone")),
-        FAILED,
-        True,
-        LOST,
-    ),
+    Fault("stage lost permanently, interlock `device_lost`", STAGE, GONE, FAILED, True, LOST),
     Fault("another device on the port", ("open",), raising(WrongDevice("another serial number")), FAILED),
     Fault("no such port", ("open",), raising(PortNotFound("no such port")), FAILED),
     Fault("stage: reply lost or late", ("stage.",), raising(ReplyTimeout("silent")), FAILED),
     Fault("stage: reply garbled, echo, wrong id", ("stage.",), raising(ReplyGarbled("checksum")), FAILED),
     Fault("light: reply lost or late", ("light.",), raising(ReplyTimeout("silent")), FAILED),
     Fault("light: reply garbled", ("light.",), raising(ReplyGarbled("form")), FAILED),
-    Fault(
-        "stage stalls, limit switch, twist",
-        ("stage.move_to", "stage.home"),
-        raising(MoveFailed("stalled")),
-        FAILED,
-    ),
-    Fault(
-        "stage stops short, slips, restarts during a move",
-        ("stage.move_to",),
-        raising(MoveFailed("short")),
-        FAILED,
-    ),
-    Fault(
-        "stage always busy, no progress",
-        ("stage.move_to", "stage.home"),
-        raising(MoveTimeout("busy")),
-        FAILED,
-    ),
-    Fault(
-        "stage without reference after a loss of power",
-        ("stage.move_to",),
-        raising(NotHomed("no reference")),
-        FAILED,
-    ),
-    Fault(
-        "stage refuses a command (emergency stop)",
-        ("stage.move_to", "stage.home"),
-        raising(DeviceRefused("stopped")),
-        FAILED,
-    ),
+    Fault("stage stalls, limit switch, twist", MOVES, raising(MoveFailed("stalled")), FAILED),
+    Fault("stage stops short, slips, restarts during a move", MOVE, raising(MoveFailed("short")), FAILED),
+    Fault("stage always busy, no progress", MOVES, raising(MoveTimeout("busy")), FAILED),
+    Fault("stage without reference after a loss of power", MOVE, raising(NotHomed("no reference")), FAILED),
+    Fault("stage refuses a command (emergency stop)", MOVES, raising(DeviceRefused("stopped")), FAILED),
     Fault("lamp open or too hot", ("light.on", "light.read"), raising(LightFault("lamp open")), FAILED),
     Fault("light: level or frequency clipped", ("light.apply",), raising(SettingRefused("clipped")), FAILED),
     Fault("light silently off", ("camera.record",), _light_off, ENDED),

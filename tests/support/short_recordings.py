@@ -24,14 +24,9 @@ def record(
     """Return the events of a pose, camera <- target, and the flicker of the light, whose phase the seed draws."""
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
+    picture = render(truth, rotation)
     events = simulate(
-        render(truth, rotation),
-        light,
-        WINDOW_US,
-        phase=phase,
-        noise=noise or truth.noise,
-        camera_seed=7,
-        seed=seed,
+        picture, light, WINDOW_US, phase=phase, noise=noise or truth.noise, camera_seed=7, seed=seed
     )
     return events, Flicker(
         light.period_us, -phase * light.period_us % light.period_us, 0.5, 0.0, 0, "triggers"

@@ -75,18 +75,12 @@ class VirtualCamera:
         self, angles_deg: Mapping[str, float], *, seed: int, light_hz: float = 60.0, periods: int = 2
     ) -> VirtualCapture:
         """Turn the camera and record whole periods; loads stand behind their play at readings ``angles_deg``."""
-        picture = self.picture(self._gears.load_angles_deg(angles_deg))
+        seen = self.picture(self._gears.load_angles_deg(angles_deg))
         light = LightState(output=True, sync=True, frequency_hz=light_hz)
         phase = float(np.random.default_rng((seed, 1)).random())
         duration_us = (periods + 0.05) * light.period_us
         events = simulate(
-            picture,
-            light,
-            duration_us,
-            phase=phase,
-            noise=self._truth.noise,
-            camera_seed=self._seed,
-            seed=seed,
+            seen, light, duration_us, phase=phase, noise=self._truth.noise, camera_seed=self._seed, seed=seed
         )
         size = (self._truth.camera.width, self._truth.camera.height)
         return VirtualCapture(events, size, light_hz, (1.0 - phase) * light.period_us, duration_us)

@@ -80,11 +80,7 @@ def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
     [
         ("country: GB", "country: England", r"customer.address.country: must be two capital letters"),
         ("value: 20.3", "value: .nan", "conditions[0].value"),
-        (
-            "accreditation: {body",
-            "accreditation: {bodi",
-            "laboratory.accreditation.bodi: unknown key. Did you mean 'body'?",
-        ),
+        ("accreditation: {body", "accreditation: {bodi", "laboratory.accreditation.bodi: "),
         (
             "accreditation: {body: DAkkS, number: D-K-00000-01-00, scope: Geometric calibration of cameras}",
             "accreditation: DAkkS",
@@ -98,11 +94,7 @@ def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
         ("format: starbench/lab/1", "format: starbench/station/1", "wrong kind of document"),
         ("name: Ada Byron", "name: \u200b", "must contain no control characters"),
         (NUMBERS, "numbers: {format: SB-2026}", "format must contain {number:05d} once"),
-        (
-            "previous_certificate: {number: SB-2025-00104, ",
-            "previous_certificate: {",
-            "previous_certificate.number: ",
-        ),
+        ("{number: SB-2025-00104, ", "{", "previous_certificate.number: "),
     ],
 )
 def test_a_fault_of_lab_yaml_is_named_with_its_place(old, new, named):

@@ -200,20 +200,15 @@ def test_a_certificate_states_whether_the_results_were_made_again(lab, again, wo
     assert words in lab.issue().certificate.statement("verification")
 
 
+NOT_CONVERGED = {**sample_results(), "calibration": {**sample_results()["calibration"], "converged": False}}
+
+
 @pytest.mark.parametrize(
     ("facts", "named"),
     [
         ({"how": "failed"}, "did not finish: it failed"),
         ({"rehearsal": True}, "is a rehearsal: nothing was measured"),
-        (
-            {
-                "results": {
-                    **sample_results(),
-                    "calibration": {**sample_results()["calibration"], "converged": False},
-                }
-            },
-            "did not converge",
-        ),
+        ({"results": NOT_CONVERGED}, "did not converge"),
     ],
 )
 def test_a_run_without_a_result_is_refused(lab, facts, named):
@@ -246,7 +241,7 @@ ENDED_LATER = {**sample_results()["run"], "finished_utc": (NOW + timedelta(days=
         (unsealed, EvidenceError, "is not sealed"),
         (lambda lab: (lab.path / "certificate").touch(), UsageError, "already exists"),
         (
-            of_results(run={**sample_results()["run"], "board": "checkerboard:11x7:20mm"}),
+            of_results(run={**sample_results()["run"], "board": "checkerboard:9x7:2mm"}),
             EvidenceError,
             "a board",
         ),
@@ -280,38 +275,14 @@ def test_missing_clauses_are_named_all_at_once_with_their_key(lab):
     ("old", "new", "named"),
     [
         ("serial: 00050423", "serial: 50423", "item.serial: the run calibrated camera 00050423, not 50423"),
-        (
-            "received: 2026-11-18",
-            "received: 2026-11-22",
-            "item.received: the calibration began on 2026-11-21, before",
-        ),
-        (
-            "result: fx",
-            "result: fz",
-            r"decision_rules\[0\].result: the run has no result 'fz'. Known here: fx, fy",
-        ),
-        (
-            "scale of the print",
-            "scale of print",
-            r"sources\[1\].row: the uncertainty budget has no row 'scale of print'. Did",
-        ),
-        (
-            "collimator, issuer",
-            "collimator, number: X-1, issuer",
-            r"number: the run used 'SIM-2026-01', not 'X-1'",
-        ),
+        ("received: 2026-11-18", "received: 2026-11-22", "item.received: .* 2026-11-21"),
+        ("result: fx", "result: fz", r"decision_rules\[0\].result: .* 'fz'. .* fx, fy"),
+        ("scale of the print", "scale of print", r"sources\[1\].row: .* 'scale of print'"),
+        ("collimator, issuer", "collimator, number: X-1, issuer", "number: .* 'SIM-2026-01', not 'X-1'"),
         ("name: warm-up", "name: camera temperature", "the run itself recorded this condition"),
-        (
-            "previous_certificate: {number: SB-2025-00104, date: 2025",
-            "previous_certificate: {number: X, date: 2027",
-            "before",
-        ),
+        ("{number: SB-2025-00104, date: 2025", "{number: X, date: 2027", "before"),
         ("name: Customer & Sons <GmbH>", "name: TBD", "customer.name: 'TBD' identifies nothing"),
-        (
-            "external: [Humidity sensor calibrated by Klimalabor GmbH.]\n",
-            "",
-            "external: is missing. ISO/IEC 17025, 7.8.2.1 p",
-        ),
+        ("external: [Humidity sensor calibrated by Klimalabor GmbH.]\n", "", "external: .* 7.8.2.1 p"),
     ],
 )
 def test_contradictions_and_gaps_are_refused_with_their_place(lab, old, new, named):
@@ -349,6 +320,13 @@ def test_killed_at_any_point_the_next_command_ends_it_with_the_same_number(lab, 
     assert [path.name for path in lab.path.iterdir() if path.name.endswith(".tmp")] == []
 
 
+def test_a_command_that_ended_early_leaves_nothing_behind_and_its_number_goes_to_the_next(lab):
+    with mock.patch.object(certificate_folder, "seal_folder", side_effect=Killed), pytest.raises(Killed):
+        lab.issue("first name")
+    assert lab.issue("second name").certificate.number == FIRST
+    assert [path.name for path in lab.path.iterdir() if path.name.startswith(".first name")] == []
+
+
 def test_an_amendment_names_the_old_one_by_hash_and_what_changed(lab):
     first = lab.issue("first")
     second = lab.amend("first", "second")
@@ -365,11 +343,7 @@ def test_an_amendment_names_the_old_one_by_hash_and_what_changed(lab):
     ("says", "text", "named"),
     [
         ({}, "Mill Lane 3", "Nothing would change"),
-        (
-            {"faults": (SealFault("changed", "dcc.xml", "it was changed"),)},
-            "Mill Lane 4",
-            r"does not verify: dcc\.xml",
-        ),
+        ({"faults": (SealFault("changed", "dcc.xml", "changed"),)}, "Mill Lane 4", r"verify: dcc\.xml"),
         ({"kind": "run"}, "Mill Lane 4", "is a run folder, not a certificate"),
     ],
 )

@@ -110,6 +110,15 @@ def test_a_stated_value_has_the_degrees_of_freedom_that_are_stated_with_it():
     assert {row.name: row.nu for row in budget.rows if row.nu is not None} == {"scale of the print": 8.0}
 
 
+def test_rows_name_their_certificates():
+    fx = full_certificate().budgets[0]
+    known = {row.name: (row.number, row.date) for row in fx.rows if row.number}
+    assert known == {
+        "passport of the collimator": ("SIM-2026-01", "2026-01-12"),
+        "scale of the print": ("R-17", "2026-01-08"),
+    }
+
+
 def test_of_a_coefficient_a_row_of_a_single_source_states_its_value_with_its_certificate():
     """The engine splits the variance of k1 by groups alone; certificates belong to single sources."""
     k1 = next(budget for budget in full_certificate().budgets if budget.symbol == "k1")
@@ -251,10 +260,7 @@ def test_comes_back_the_same(make):
         (lambda c: c.update(numbr="x"), "numbr is unknown"),
         (lambda c: c["customer"]["address"].pop("street"), r"customer\.address\.street is missing"),
         (lambda c: c["item"]["lens"].update(colour="x"), r"item\.lens\.colour is unknown"),
-        (
-            lambda c: c["laboratory"]["address"].update(country="Germany"),
-            r"laboratory\.address\.country must be two capital letters",
-        ),
+        (lambda c: c["laboratory"]["address"].update(country="Germany"), r"laboratory\.address\.country"),
         (lambda c: c["results"][2].update(U="2.9"), r"results\[2\].U must be a finite number"),
         (lambda c: c["results"][0].update(value=True), r"results\[0\].value must be a finite number"),
         (lambda c: c["conformity"][0].update(verdict="passed"), "one of pass, conditionalPass"),

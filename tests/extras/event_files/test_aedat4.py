@@ -91,13 +91,8 @@ def most_kb_of_reader(path):
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    ran = subprocess.run(
-        [sys.executable, "-c", program, str(path)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    command = [sys.executable, "-c", program, str(path)]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return int(ran.stdout)
 
 

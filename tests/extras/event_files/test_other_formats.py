@@ -51,17 +51,10 @@ def test_aedat4_written_by_dv_processing(tmp_path):
 # ------------------------------------------------------------ ROS
 
 
-def bag(
-    path,
-    version,
-    rows,
-    kind,
-    *,
-    name="event_camera_msgs/msg/EventPacket",
-    data=None,
-    topics=("/events",),
-    numbers=(0,),
-):
+PACKET = "event_camera_msgs/msg/EventPacket"
+
+
+def bag(path, version, rows, kind, *, name=PACKET, data=None, topics=("/events",), numbers=(0,)):
     """Write a bag with the package rosbags, a message for each of the numbers; return the path to read."""
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -83,18 +76,11 @@ def bag(
             store.register(get_types_from_msg(DEFINITIONS["dvs_msgs/msg/Event"], f"{package}/msg/Event"))
             store.register(get_types_from_msg(of_dvs, name))
         event, time = types[f"{package}/msg/Event"], types["builtin_interfaces/msg/Time"]
-        whole = [
-            event(
-                x=int(row["x"]),
-                y=int(row["y"]),
-                ts=time(
-                    sec=(int(row["t"]) + ORIGIN_US) // 10**6,
-                    nanosec=(int(row["t"]) + ORIGIN_US) % 10**6 * 1000,
-                ),
-                polarity=bool(row["on"]),
-            )
-            for row in rows
-        ]
+        whole = []
+        for row in rows:
+            sec, us = divmod(int(row["t"]) + ORIGIN_US, 10**6)
+            stamp = time(sec=sec, nanosec=us * 1000)
+            whole.append(event(x=int(row["x"]), y=int(row["y"]), ts=stamp, polarity=bool(row["on"])))
         message = types[name](header=header, height=480, width=640, events=whole)
     else:
         message = types[name](

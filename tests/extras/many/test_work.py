@@ -98,11 +98,8 @@ def test_processes_end_with_their_workers_and_count_those_that_died():
 
 def test_work_that_needs_too_much_memory_fails_and_says_so():
     with Processes(1, memory_bytes=1 << 30) as workers:
-        done = ends(
-            workers,
-            Work("much", cluster_work.take_memory, (3 << 30,)),
-            Work("few", cluster_work.double, (1,)),
-        )
+        much = Work("much", cluster_work.take_memory, (3 << 30,))
+        done = ends(workers, much, Work("few", cluster_work.double, (1,)))
         assert done["much"].failure.kind == "MemoryError"
         assert "--workers" in done["much"].failure.remedy
         assert done["few"].value == 2

@@ -201,36 +201,20 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
     ("words", "fault", "status"),
     [
         (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board", 2),
-        (
-            ("{}/left", "{}/right", "--calibration", "{}/left/a.yaml", "{}/right.yaml"),
-            "made from the same views",
-            2,
-        ),
+        (("{}/left", "{}/right", "--calibration", "{}/left/a.yaml", "{}/right.yaml"), "the same views", 2),
         (("{}/left", "{}/other", *BOARD), "share no pose", 1),
         (("{}/left", "{}/right/../left", *BOARD), "Both cameras have the same views.", 2),
         (("{}/left/board-0.csv", "{}/right/board-0.csv", *BOARD), "Show the board at more angles.", 1),
-        (
-            ("{}/left", "{}/right", "--boards", "{}/left", "{}/left", *BOARD),
-            "Both cameras have the same views.",
-            2,
-        ),
+        (("{}/left", "{}/right", "--boards", "{}/left", "{}/left", *BOARD), "Both cameras", 2),
         (("{}/left", "{}/blank", *BOARD), "whole board", 1),
         (("{}/left", "{}/moved", *BOARD), "do not fit one rig", 1),
         (
             ("{}/left", "{}/right", *BOARD[:2], "--calibration", "{}/left.yaml", "{}/small.yaml"),
-            "outside an image of 640 x 480 px",
+            "640 x 480",
             1,
         ),
-        (
-            ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"),
-            "its image has 640 x 480 px",
-            2,
-        ),
-        (
-            ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"),
-            "2 cameras: cam0, cam1",
-            2,
-        ),
+        (("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"), "640 x 480", 2),
+        (("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"), "cam0, cam1", 2),
     ],
 )
 def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, fault, status):

@@ -75,12 +75,8 @@ def test_whatever_a_peer_sends_ends_in_an_identity_or_a_drivers_error(pieces, cu
         peer = threading.Thread(target=serve)
         peer.start()
         try:
-            SimulatedEvk4Camera.open(
-                f"127.0.0.1:{listener.getsockname()[1]}",
-                clock=SystemClock(),
-                utc_now=lambda: NOW,
-                silence_s=5.0,
-            ).close()
+            address = f"127.0.0.1:{listener.getsockname()[1]}"
+            SimulatedEvk4Camera.open(address, clock=SystemClock(), utc_now=lambda: NOW, silence_s=5.0).close()
             ended = "an identity"
         except DriverError as error:  # anything else it raises fails the test
             ended = str(error)

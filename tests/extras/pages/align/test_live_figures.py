@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from bench.extras.pages.align.figure_rows import figure_rows
-from bench.extras.pages.align.live_figures import LiveMeter, LiveSetting, LiveSlice
+from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
+from bench.extras.pages.align.live_image import SignalFigures
 from bench.stations.station import load_station
 from drivers.camera import RecordingFacts
 from simulators.pixels.biases import PixelSettings
@@ -183,6 +184,12 @@ def test_a_short_arc_without_expected_values_gives_no_angle(tmp_path):
     assert "Turn pan by" not in off(figures, unknown)
 
 
+def test_stars_along_the_pixels_are_not_as_expected(tmp_path):
+    path = write_slice(tmp_path / "level.raw", seen(bench(roll_deg=0.5), pan=0.31, tilt=-0.2))
+    _, figures = figures_of(path)
+    assert list(off(figures)) == ["Roll to the pixels"]
+
+
 def test_rates_beyond_the_gates(good, tmp_path):
     low = dataclasses.replace(SETTING, gates=dataclasses.replace(SETTING.gates, max_event_rate_mev_s=50.0))
     _, figures = figures_of(good, low)
@@ -220,3 +227,10 @@ def test_pictures_of_a_frame_camera(tmp_path):
     flat = np.full((720, 1280), 90, np.uint8)
     _, blurred = figures_of(picture_file(tmp_path / "flat.tif", flat), FRAMES)
     assert {"Stars", "Tag 3", "Contrast", "Edge width"} <= off(blurred, FRAMES).keys()
+
+
+def test_what_is_not_finite_is_none():
+    signal = SignalFigures(jitter_us=float("nan"))
+    plain = LiveFigures(signal=signal, edge_width_px=np.float32(1.5)).to_json()
+    assert plain["signal"]["jitter_us"] is None
+    assert type(plain["edge_width_px"]) is float

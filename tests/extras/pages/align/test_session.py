@@ -6,13 +6,14 @@ import time
 
 import pytest
 from align_fakes import fake_session
-from fake_devices import FakeCamera, FakeDevices
+from fake_devices import FakeCamera, FakeDevices, FakeStage
 from waiting import wait_until
 
 from bench.base.errors import ControlRefused
 from bench.extras.pages.align import live_loop
 from bench.extras.pages.align import session as session_module
 from bench.extras.pages.align.live_figures import LiveMeter
+from bench.extras.pages.align.stage_control import StageControl
 from drivers.errors import CameraBusy, CameraLost, DriverError
 
 
@@ -147,6 +148,19 @@ def test_a_failed_move_is_shown_and_the_next_one_is_possible(opened):
     devices.stage.fault = ""
     session.bench.stage.move_by({"pan": 0.5})
     assert session.state()["stage"]["failure"] is None
+
+
+def test_a_page_that_is_lost_stops_its_motion_within_a_second(opened):
+    session, devices = opened
+    devices.stage.step_deg = 0.005
+    session.holder.enter("page-one")
+    session.bench.stage.move_by({"pan": 5.0})
+    session.bench.stage.move_by({"pan": 5.0})
+    began_s = time.monotonic()
+    wait_until(lambda: "stop" in devices.stage.calls)
+    assert time.monotonic() - began_s < 1.5  # 0.8 s on a computer that is not busy
+    _rest(session)
+    assert devices.stage.at["pan"] < 10
 
 
 def test_a_stop_that_is_not_confirmed_is_shouted_where_nobody_waits_for_it(opened):
@@ -311,6 +325,17 @@ def test_a_slice_holds_the_edges_of_the_light_and_a_moving_stage_makes_it_short(
     devices.stage.step_deg = 0.005
     session.bench.stage.move_by({"pan": 5.0})
     wait_until(lambda: lengths[-1] == live_loop.MOVING_PERIODS)
+
+
+def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
+    stage, states = FakeStage(), []
+    control = StageControl(stage, lambda: states.append(control.state))
+    control.look(thoroughly=True)
+    stage.fault, stage.faults = "the motor is stuck", list
+    control.home()
+    wait_until(lambda: states[-1].failure is not None and states[-1].work is None)
+    control.close()
+    assert "the motor is stuck" in states[-1].failure.what
 
 
 class ReadingCamera(FakeCamera):

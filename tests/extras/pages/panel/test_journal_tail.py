@@ -65,6 +65,15 @@ def test_a_changed_line_ends_the_reading_and_says_where(run):
     assert not tail.more
 
 
+def test_zeros_after_a_power_cut_are_named_as_such(run):
+    run.write("run_started", id="x")
+    with run.path.open("ab") as stream:
+        stream.write(b"\0" * (512 - run.path.stat().st_size % 512) + b'of a line"}\n')
+    tail, _ = _tail(run)
+    assert _events(tail) == ["run_started"]
+    assert "power cut" in tail.fault
+
+
 def test_a_shorter_file_is_read_again(run):
     for _ in range(3):
         run.write("left_off", state="idle")
@@ -99,3 +108,10 @@ def test_a_long_journal_is_read_in_parts(run, monkeypatch):
         assert 0 < tail.read_share <= 1
     assert sum(parts) == 20
     assert len(parts) > 5
+
+
+def test_a_line_longer_than_a_part_is_read_whole(run, monkeypatch):
+    monkeypatch.setattr(journal_tail, "MOST_BYTES", 100)
+    run.write("deviation", what="x" * 5000)
+    tail, _ = _tail(run)
+    assert _events(tail) == ["deviation"]

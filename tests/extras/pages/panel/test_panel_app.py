@@ -11,10 +11,12 @@ import httpx
 import pytest
 from journals import MadeRun, at_work
 from pages import served
+from waiting import wait_until
 
 from bench.base.clock import Aborted
 from bench.extras.pages.panel.panel_app import Panel, panel_app
 from bench.extras.pages.web.token import PageToken
+from bench.record.events import Asked
 from bench.record.journal import read_journal
 
 PATIENCE_S = 20.0
@@ -64,6 +66,17 @@ def streamed(server, path, after=None):
 def server(run):
     with served(panel_app(run.folder.parent)) as server:
         yield server
+
+
+def test_no_page_names_another_host():
+    from bench.extras.pages.panel.panel_app import ASSETS
+    from bench.extras.pages.web.pages import ASSETS as SHARED
+
+    for path in [*ASSETS.iterdir(), *SHARED.iterdir()]:
+        text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in text, path
+        assert "https://" not in text, path
+        assert "innerHTML" not in text, path  # text of a journal must never become markup
 
 
 def test_a_run_is_told_and_then_what_is_new(run, server):
@@ -201,6 +214,19 @@ def test_an_abort_needs_two_steps(run, server):
         assert _post(server, {"word": "abort", "by": "Ada", "confirm": "abort"}).json()["taken"]
         with pytest.raises(Aborted, match="abort by Ada"):
             clock.sleep(5.0)  # the answer may be here before the clock has been told
+
+
+def test_a_question_is_answered(run, server):
+    with at_work(run) as (log, _):
+        log.write(Asked, step=1, text="Is it dark?", default="abort", timeout_s=60.0)
+        with streamed(server, "api/run/run7/events") as stream:
+            asked = stream.until(lambda m: m["head"]["question"])[-1]["head"]
+            assert asked["question"]["text"] == "Is it dark?"
+            assert asked["can"]["answer"]
+            assert _post(server, {"word": "answer", "answer": "continue", "by": "Ada"}).json()["taken"]
+            assert stream.until(lambda m: not m["head"]["can"]["answer"])
+        # The page may have read the journal before its writer has told itself.
+        wait_until(lambda: log.history.answer == ("continue", "Ada"))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from journals import BEGIN, MadeRun
 
 from bench.extras.pages.panel.folder_list import FolderList
 from bench.extras.pages.panel.journal_tail import read_final
-from bench.extras.pages.panel.run_head import ProcessState, head_of
+from bench.extras.pages.panel.run_head import ProcessState, head_of, look_at_process
 from bench.extras.pages.panel.run_model import RunModel
 
 RUNNING = ProcessState(running=True, takes_commands=True, free_bytes=10**12)
@@ -218,6 +218,15 @@ def test_the_time_left_is_scaled_by_what_the_steps_took(tmp_path):
     assert model.time_left.left_s(last + timedelta(seconds=1), held=True) == pytest.approx(left_s, abs=0.01)
 
 
+def test_before_the_first_steps_the_pace_is_that_of_earlier_runs_of_the_bench(tmp_path):
+    run = MadeRun(tmp_path / "run", 10).begin(pace=2.5)
+    begun = datetime.fromisoformat(_read(run).log[0]["utc"])
+    assert _read(run).time_left.left_s(begun, held=True) == 2.5 * 12.0
+    for pose in (1, 2, 3, 4):
+        run.record(pose)
+    assert _read(run).time_left.pace == pytest.approx(0.6)
+
+
 def test_a_line_of_another_version_is_named(run):
     run.write("attempt_checked", pose=1)
     head = _head(run)
@@ -232,6 +241,13 @@ def test_without_a_plan_the_page_says_so(run):
     assert "plan.json is damaged" in head["faults"][0]
     assert head["left_s"] is None
     assert head["accepted"] == 1
+
+
+def test_a_folder_without_a_process_is_looked_at(tmp_path):
+    run = MadeRun(tmp_path / "run").begin()
+    process = look_at_process(run.folder, "slewing")
+    assert process == ProcessState()
+    assert "No such file" in look_at_process(tmp_path / "none", "idle").fault
 
 
 def test_the_final_uncertainties_come_from_the_results(tmp_path):

@@ -22,13 +22,8 @@ def compared(stored, again):
     """What is said of stored results beside those made again: faults, and what was found."""
     findings = Findings()
     maker = maker_of(stored, stored["run"]["software"])
-    judge(
-        "results",
-        "results.json",
-        differences(stored, again, limits_of_values(again["calibration"])),
-        maker,
-        findings,
-    )
+    found = differences(stored, again, limits_of_values(again["calibration"]))
+    judge("results", "results.json", found, maker, findings)
     return [str(fault) for fault in findings.faults], findings
 
 
@@ -136,6 +131,12 @@ def test_every_other_value_is_compared_too(stored, path, value):
     faults = compared(stored, again)[0]
     assert faults
     assert all(str(path[-2] if isinstance(path[-1], int) else path[-1]) in fault for fault in faults)
+
+
+def test_names_and_counts_of_another_program_are_faults_if_the_engine_is_the_same(by_another):
+    again = copy.deepcopy(by_another)
+    again["devices"]["camera"]["serial"] = "00050999"
+    assert compared(by_another, again)[0]
 
 
 def test_a_part_that_follows_from_nothing_or_was_removed_is_told(stored):

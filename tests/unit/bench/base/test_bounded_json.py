@@ -7,7 +7,7 @@ import pytest
 
 import bench
 from bench.base import bounded_json
-from bench.base.bounded_json import parse_json
+from bench.base.bounded_json import MOST_LEVELS, parse_json
 
 OWN_DATA = {
     "extras/pages/align/simulated_hands.py",  # answers of the simulated bench, a process of our own
@@ -24,6 +24,15 @@ OWN_DATA = {
     "extras/pages/web/pages.py",
 }
 """Modules that parse JSON which no stranger wrote, or that bound it themselves."""
+
+
+@pytest.mark.parametrize(("begin", "end"), [("[", "]"), ('{"a":', "}")])
+def test_what_has_a_usual_depth_is_read_and_what_is_nested_too_deeply_is_refused(begin, end):
+    for kind in (str, str.encode):
+        assert parse_json(kind(f"{begin * MOST_LEVELS}7{end * MOST_LEVELS}"))
+    for levels in (MOST_LEVELS + 1, 1_000_000):
+        with pytest.raises(ValueError, match="more than 100 levels"):
+            parse_json(f"{begin * levels}7{end * levels}")
 
 
 def test_too_many_values_are_refused_before_they_take_memory(monkeypatch):

@@ -61,14 +61,8 @@ def test_a_run_wants_the_loops_of_its_station_before_its_folder_is_made(
     path.write_text(filled((SHIPPED_STATIONS / f"{station}.yaml").read_text()))
     monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
     monkeypatch.setattr("bench.run.launch.compile_loops", wanted)
+    launch = Launch(BenchClock())
     with pytest.raises(_Wanted) as caught:
-        start_run(
-            "three_pose",
-            str(path),
-            output=tmp_path / "run",
-            seed=1,
-            operator=None,
-            launch=Launch(BenchClock()),
-        )
+        start_run("three_pose", str(path), output=tmp_path / "run", seed=1, operator=None, launch=launch)
     assert set(caught.value.args) == programs
     assert not (tmp_path / "run").exists()

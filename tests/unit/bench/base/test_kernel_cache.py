@@ -35,6 +35,16 @@ def test_where_both_usual_places_are_closed_a_private_folder_is_named_and_named_
     assert again[VARIABLE] == str(folder)
 
 
+@pytest.mark.parametrize("usual", ["beside", "user", "told"])
+def test_the_usual_place_is_left_where_there_is_one(closed, tmp_path, usual):
+    environ = {"XDG_CACHE_HOME": str(tmp_path / "cache" if usual == "user" else closed)}
+    if usual == "told":
+        environ[VARIABLE] = "elsewhere"
+    before = dict(environ)
+    set_kernel_cache(environ, beside=tmp_path if usual == "beside" else closed)
+    assert environ == before
+
+
 @pytest.mark.parametrize("how", ["open to others", "a link", "another's"])
 def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_path, monkeypatch, how):
     us = os.getuid() + (how == "another's")

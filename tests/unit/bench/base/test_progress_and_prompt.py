@@ -119,6 +119,12 @@ def test_the_operators_word_counts_and_an_empty_line_is_the_default(selected, ty
     assert asked(selected[0], default=default) == (word or default, "operator")
 
 
+@pytest.mark.parametrize(("typed", "word"), ANSWERS)
+def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
+    # A StringIO is no file: select refuses it, as Windows' refuses the console.
+    assert asked(Terminal(typed), default="continue") == (word, "operator")
+
+
 @pytest.mark.parametrize("waits_for_terminals", [True, False])
 def test_a_terminal_that_was_closed_answers_nothing(request, waits_for_terminals):
     terminal, messages = Terminal(""), []

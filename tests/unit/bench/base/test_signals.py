@@ -139,6 +139,14 @@ def test_being_ended_breaks_off_as_an_interrupt_does():
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
+    with reliable_interrupts():
+        _cleared_up_with(ValueError)
+    assert [error.exc_type for error in unraisable] == [ValueError]
+
+
 # ---------------------------------------------------------------- output whose reader has gone
 
 PROGRAM = """
@@ -203,12 +211,8 @@ def test_a_reader_that_stays_gets_all():
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 def test_a_full_disk_behind_the_output_is_one_message():
     with Path("/dev/full").open("wb") as full:
-        ended = subprocess.run(
-            [sys.executable, "-m", "bench", "schema", "queue"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            check=False,
-        )
+        command = [sys.executable, "-m", "bench", "schema", "queue"]
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
     assert ended.returncode == 1
     errors = ended.stderr.decode()
     assert errors.startswith("starbench: standard output: ")

@@ -20,6 +20,7 @@ from bench.batch.supervisor import WorkerEnd
 from bench.record.events import Event
 from bench.record.journal import Journal, read_journal
 from bench.report.batch_page import render_batch
+from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 
@@ -113,6 +114,12 @@ def test_a_run_that_was_cut_off_is_done_if_sealed_and_failed_if_unreadable(tmp_p
     assert hows(summary) == {"a-001": first, "b-001": "finished"}
     assert begun(workers) == runs
     assert (first == "failed") == ("journal" in summary["items"][0]["why"])
+
+
+def test_no_run_is_begun_after_the_time_is_over(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", times: 100"), top="stop_after_h: 1\n"))
+    assert batch.run()["how"] == "stopped"
+    assert len(workers.begun) == 7
 
 
 def test_what_was_cut_off_before_it_began_is_kept_aside_and_begun_anew(tmp_path):
@@ -219,6 +226,11 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     assert batch.run()["how"] == "finished"
     assert seen[:2] == ["wait for a-001", "make safe a-001"]
     assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]
+
+
+def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
+    with pytest.raises(DocumentFaults, match="same name: Cam7, cam7"):
+        queue(("cam7", ""), ("Cam7", ""))
 
 
 def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_continues_it(tmp_path):

@@ -12,6 +12,7 @@ from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
 from bench.record.device_end import DeviceEnd
 from bench.record.journal import Journal
+from bench.record.summaries import newest_place
 from bench.run.messages.outbox import Message, Outbox
 from bench.stations.station import load_station
 from tests.unit.bench.report.test_batch_page import item, summary
@@ -77,6 +78,14 @@ def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, message
     assert "stage: confirmed safe" in delivery.message.text
 
 
+def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messages):
+    """Once every such message said: its stage is stopped, its light is off."""
+    messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
+    ((_, delivery),) = outbox.deliveries()
+    assert "No device was asked" in delivery.message.text
+    assert "safe" not in delivery.message.text
+
+
 def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, outbox, messages, capsys):
     begun = tmp_path / "cam 2" / "runs" / "cam-001"
     begun.mkdir(parents=True)
@@ -117,6 +126,16 @@ def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, oc
     assert delivery.message.occasion == occasion
     assert delivery.message.subject == f"Starbench: batch Night {how}"
     assert re.search("cam-001 +finished +1 attempt", delivery.message.text)
+
+
+def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
+    places = {"c": (10, "b" * 64), "b": (9, "a" * 64), "a": (None, None)}
+    items = [item(key, ledger_number=number, ledger_head=head) for key, (number, head) in places.items()]
+    assert newest_place(items[2:]) is None
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(summary(*items), tmp_path, "c" * 64)
+    ((_, delivery),) = outbox.deliveries()
+    assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text
 
 
 def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messages):

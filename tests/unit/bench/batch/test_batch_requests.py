@@ -9,7 +9,7 @@ from locking_process import locking, suspend
 from nights import NightClock, Workers, begun, hows, job_words, queue
 from waiting import wait_until
 
-from bench.base.errors import ScriptError
+from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch import Batch
 from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
 from bench.batch.batch_status import batch_status_text, read_batch_status
@@ -111,6 +111,18 @@ def test_what_is_no_request_is_answered_and_removed(tmp_path):
     assert not any((tmp_path / REQUESTS).iterdir())
 
 
+def test_a_job_added_at_midnight_counts_its_repetitions_from_then(tmp_path):
+    class At(Asked):
+        def __call__(self, item, run, log):
+            self.clock.now_s = max(self.clock.now_s, 4 * 3600.0)
+            return super().__call__(item, run, log)
+
+    workers = At(NightClock(), tmp_path, [add("late", times=2, every_min=60)])
+    one_run(tmp_path, workers).run()
+    times_h = [at_s / 3600 for _, _, at_s in workers.begun]
+    assert times_h == pytest.approx([4, 4 + 600 / 3600, 5], abs=2e-3)
+
+
 def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
     """The sender's side, with the batch in a thread."""
     gate, answers = threading.Event(), []
@@ -137,6 +149,12 @@ def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
     path.write_text("format: starbench/job/1\nname: a\nsequence: no_such\nstation: simulated\n")
     with pytest.raises(ScriptError, match="no_such"):
         tell.callback(tmp_path, "add", str(path), "ada", take_over=False)
+
+
+@pytest.mark.parametrize("words", [{"word": "add"}, {"word": "withdraw"}, {"word": "add", "name": "a"}])
+def test_a_request_carries_what_its_word_needs(words):
+    with pytest.raises(ValueError, match="add needs a job"):
+        Request(by="ada", **words)
 
 
 # ---------------------------------------------------------------- how a batch stands
@@ -184,3 +202,11 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     leave(tmp_path, add("b"))
     assert one_run(tmp_path).run()["how"] == "finished"
     assert asked(tmp_path)[0]["why"].endswith("ZeroDivisionError: nobody foresaw this")
+
+
+def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):
+    one_run(tmp_path, rehearsal=True).run()
+    lines = []
+    with pytest.raises(RunFolderError, match="in the same folder"):
+        one_run(tmp_path, say=lines.append).run()
+    assert lines == []

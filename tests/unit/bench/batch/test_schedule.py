@@ -79,6 +79,11 @@ def test_repetitions_count_from_the_start_and_a_jobs_own_time_moves_all_of_its()
     ]  # fmt: skip
 
 
+def test_a_job_at_the_very_moment_of_the_start_does_not_wait_a_day():
+    (item,) = items_of([job(start_at="21:00")], EVENING, 7200, "Europe/Berlin")
+    assert item.due_s == pytest.approx(7200, abs=1e-3)
+
+
 def test_a_run_may_last_beyond_the_last_begin_but_not_begin_after_it():
     bounds = Bounds(last_begin_s=100)
     (item,) = items_of([job()], EVENING)

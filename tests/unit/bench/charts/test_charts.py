@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from bench.charts.chart_findings import find_charts
+from bench.charts.chart_findings import find_charts, needs_attention
 from bench.charts.chart_groups import ChartGroup, ChartKey, ChartRun, group_runs
 from bench.record.coverage import Estimate
 from bench.record.run_facts import IndexedRun, RunPlace
@@ -70,6 +70,14 @@ def test_what_cannot_be_compared_is_never_in_one_chart(other, details, place):
     assert [len(group.runs) for group in grouped.groups] == [1, 1]
 
 
+def test_a_type_has_charts_of_its_own_if_it_has_several_cameras():
+    both = indexed(run(0), run(1, camera="2"), run(2, camera="2"))
+    levels = [(g.key.level, g.key.serial, len(g.runs)) for g in group_runs(both).groups]
+    assert levels == [("type", "", 3), ("camera", "1", 1), ("camera", "2", 2)]
+    assert [g.key.level for g in group_runs(both, "type").groups] == ["type"]
+    assert [g.key.level for g in group_runs(indexed(run(0)), "type").groups] == ["type"]
+
+
 def test_runs_in_no_chart_are_counted_and_named():
     runs = indexed(
         run(0), run(1, parameters={}), run(2, fx=math.nan), run(3, sigma=0.0), run(4, sigma=math.inf),
@@ -80,6 +88,13 @@ def test_runs_in_no_chart_are_counted_and_named():
     named = [re.findall(r"run-\d", sentence) for sentence in grouped.left_out]
     assert named == [["run-1"], ["run-2", "run-3", "run-4", "run-6"], ["run-5"]]
     assert [sentence.split()[0] for sentence in grouped.left_out] == ["1", "4", "1"]
+
+
+def test_runs_in_control_are_said_to_be_so():
+    page = find_charts([steady(40, np.random.default_rng(2))])
+    assert page["groups"][0]["verdict"] == "In control. No significant drift."
+    assert chart_of(page)["verdict"].startswith("In control: all 40 runs")
+    assert not needs_attention(page["groups"][0])
 
 
 def test_a_lasting_shift_an_outlier_and_a_drift_are_out_of_control():
@@ -114,6 +129,13 @@ def test_few_runs_have_values_but_no_limits():
         assert "too few runs" in render_charts(page)
     verdict = chart_of(find_charts([steady(5, np.random.default_rng(6))]))["verdict"]
     assert "provisional until there are 20" in verdict
+
+
+def test_a_camera_whose_runs_scatter_more_than_stated_is_told():
+    group = steady(30, np.random.default_rng(8))
+    stated = [{"fx": run.parameters["fx"]._replace(sigma=0.2)} for run in group.runs]
+    group.runs = [replace(run, parameters=fx) for run, fx in zip(group.runs, stated, strict=True)]
+    assert "their stated uncertainties" in chart_of(find_charts([group]))["verdict"]
 
 
 def test_the_page_loads_nothing_and_no_text_becomes_markup():

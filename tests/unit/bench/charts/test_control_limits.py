@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.charts.statistics import D2, ewma, find_drift, individuals
+from bench.charts.statistics import D2, ewma, find_drift, holm, individuals
 
 # ---------------------------------------------------------------- limits
 
@@ -27,6 +27,13 @@ def test_a_baseline_alone_makes_the_limits():
     assert chart["upper"] == individuals(VISCOSITY)["upper"]
     assert chart["beyond"] == (15, 16)
     assert individuals([1.0, 2.0], baseline=9)["baseline"] == 2
+
+
+def test_values_that_do_not_vary_are_in_control_and_a_change_is_not():
+    chart = individuals([3345.1] * 10)
+    assert (chart["beyond"], chart["sigma"]) == ((), 0.0)
+    assert ewma([3345.1] * 10, chart["centre"], chart["sigma"])["beyond"] == ()
+    assert individuals([3345.1] * 10 + [3345.2], baseline=10)["beyond"] == (10,)
 
 
 def test_the_limits_of_the_average_follow_from_the_weights_of_its_values():
@@ -88,6 +95,13 @@ def test_a_warm_up_is_not_separated_from_time():
     assert drift.per_c["p"] < 0.001
 
 
+def test_runs_without_a_temperature_are_left_out_of_that_test_only():
+    rng = np.random.default_rng(4)
+    warm = [None if n % 3 == 0 else 40 + float(rng.normal()) for n in range(30)]
+    drift = find_drift(np.arange(30.0), warm, rng.normal(0, 1, 30), np.ones(30))
+    assert (drift.per_day["runs"], drift.per_c["runs"], drift.joint) == (30, 20, False)
+
+
 @pytest.mark.parametrize(
     ("days", "warm"),
     [([0.0, 1, 2, 3], [None] * 4), ([1.0] * 9, [40.0] * 9), ([1.0] * 9, [40.0, 40.1] * 4 + [40.0])],
@@ -95,6 +109,14 @@ def test_a_warm_up_is_not_separated_from_time():
 def test_without_runs_or_without_change_there_is_no_slope(days, warm):
     drift = find_drift(days, warm, [3345.0] * len(days), [1.0] * len(days))
     assert (drift.per_day, drift.per_c) == (None, None)
+
+
+def test_values_on_a_line_and_values_without_any_scatter():
+    exact = find_drift(np.arange(9.0), NO_WARMTH[:9], 5 + 2 * np.arange(9.0), np.ones(9))
+    assert exact.per_day["value"] == pytest.approx(2.0)
+    still = find_drift(np.arange(9.0), NO_WARMTH[:9], np.full(9, 5.0), np.ones(9))
+    assert still.per_day["value"] == pytest.approx(0.0, abs=1e-12)
+    assert still.per_day["p"] > 0.05
 
 
 @pytest.mark.parametrize(("between", "common"), [(0.0, 0.0), (1.0, 0.0), (0.0, 3.0)])
@@ -107,3 +129,10 @@ def test_the_level_of_the_test_is_right_whatever_the_runs_state(between, common)
         y = rng.normal(0, u) + rng.normal(0, between, n)
         false += find_drift(np.arange(12.0), NO_WARMTH[:n], y, np.hypot(u, common)).per_day["p"] < 0.05
     assert 0.02 < false / trials < 0.085  # 5 % within 3.5 standard deviations
+
+
+def test_holm_keeps_the_order_and_never_lowers_a_chance():
+    chances = [0.2, 0.001, 0.04, 0.6]
+    adjusted = holm(chances)
+    assert adjusted == pytest.approx([0.4, 0.004, 0.12, 0.6])
+    assert holm([]) == []

@@ -56,13 +56,8 @@ def folder(tmp_path_factory):
 def test_small_commands_load_little(folder, tmp_path, words, status, unwanted):
     environment = {**os.environ, "STARBENCH_HOME": str(tmp_path)}
     words = [word.format(run=folder) for word in words]
-    done = subprocess.run(
-        [sys.executable, "-c", CODE, ",".join(unwanted), *words],
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
+    command = [sys.executable, "-c", CODE, ",".join(unwanted), *words]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert f"exit {status}\n" in done.stderr, done.stderr
     assert done.stderr.endswith("loaded []\n")
 

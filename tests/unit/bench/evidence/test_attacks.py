@@ -50,8 +50,10 @@ ATTACKS = [
     Attack("pose added to the sequence, told", with_hashes(edit("sequence.yaml", "tilt_deg: -3}", "tilt_deg: -3}, {name: more, pan_deg: 1}")), "journal.jsonl", "journal"),
     Attack("passport edited", edit("passport.json", "255", "256"), "passport.json", "plan"),
     Attack("passport removed", remove("passport.json"), "passport.json", "plan"),
+    Attack("passport removed, told", with_hashes(remove("passport.json")), "station.yaml", "plan"),
     Attack("plan edited", edit("plan.json", '"duration_s"', '"Duration_s"'), "plan.json", "plan"),
     Attack("plan edited, told", with_hashes(edit("plan.json", '"size_bytes": ', '"size_bytes": 1')), "plan.json", "plan"),
+    Attack("plan removed", remove("plan.json"), "plan.json", "plan"),
     Attack("instructions that trust any key", edit("VERIFY.txt", "-Y verify -f allowed_signers -I", "-Y check-novalidate -I"), "VERIFY.txt", "instructions"),
     # journal
     Attack("journal edited", edit("journal.jsonl", '"operator":"Ada"', '"operator":"Eve"'), "journal.jsonl:1", "journal"),
@@ -67,6 +69,7 @@ ATTACKS = [
     Attack("first line removed", drop("run_started"), "journal.jsonl:1", "journal"),
     Attack("last line removed", drop("run_ended"), "journal.jsonl", "journal"),
     Attack("run not finished", line("run_ended", lambda d: d.update(how="aborted")), "journal.jsonl", "journal"),
+    Attack("hashes of the results removed", drop("written"), "journal.jsonl", "journal"),
     Attack("hashes of the results removed, and the program that wrote them", without_program, "journal.jsonl", "journal"),
     Attack("clock moved within the run", shifted_clock, "journal.jsonl:21", "journal"),
     Attack("a pose never happened", without_pose, "journal.jsonl", "journal"),
@@ -74,6 +77,7 @@ ATTACKS = [
     # results
     Attack("results edited", edit("results.json", '"operator": "Ada"', '"operator": "Eve"'), "results.json", "results"),
     Attack("focal length", result("calibration", "camera", "fx", to=1675.0), "journal.jsonl", "journal"),
+    Attack("covariance", result("calibration", "covariance", "matrix", 0, 0, to=1e-4), "results.json", "results"),
     Attack("results without the journal's recordings", result("poses", 1, "attempts", to=[]), "results.json", "results"),
     Attack("simulated -> false", result("run", "simulated", to=False), "results.json", "results"),
     Attack("camera serial", result("devices", "camera", "serial", to="00050999"), "results.json", "results"),
@@ -83,6 +87,7 @@ ATTACKS = [
     Attack("results never written", without_results, "journal.jsonl", "journal"),
     Attack("results that are no results", with_hashes(write("results.json", b"[]\n")), "results.json", "results"),
     # views
+    Attack("views replaced", write("views.h5", b"x" * 1000), "views.h5", "views"),
     Attack("views replaced, told", with_hashes(write("views.h5", b"x" * 1000)), "views.h5", "views"),
     Attack("residual of a star", in_views(lambda h: h["pose-001/residuals_px"].__setitem__(0, (9.0, 9.0))), "views.h5", "views"),
     Attack("hidden data in the views", in_views(lambda h: h.create_dataset("secret", data=[1])), "views.h5", "views"),
@@ -100,6 +105,7 @@ ATTACKS = [
     Attack("number in the report", with_hashes(edit("report.html", '<td class="u"', '<td class="n">9</td><td class="u"')), "report.html", "report"),
     # recordings
     Attack("recording exchanged", write(CAPTURE % 2, b"% end\n"), CAPTURE % 2, "recording"),
+    Attack("recording removed", remove(CAPTURE % 2), CAPTURE % 2, "recording"),
     Attack("recording added", write("captures/pose-004-attempt-1.raw", b"% end\n"), "captures/pose-004-attempt-1.raw", "recording"),
     Attack("another camera, everywhere but in the files", other_serial, CAPTURE % 1, "recording"),
     # kind and seal

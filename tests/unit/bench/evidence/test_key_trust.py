@@ -9,7 +9,7 @@ from authorising import needs_ssh_keygen, ssh_verifies
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.base.errors import EvidenceError
+from bench.base.errors import BenchError, EvidenceError
 from bench.evidence.key_rotation import rotate
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
 from bench.evidence.keys import create_key, key_to_seal, load_key, require_usable, usable_key
@@ -116,6 +116,12 @@ def test_a_name_that_cannot_be_printed_is_refused(name):
         read_signer(Signer(name, KEY).line)
 
 
+def test_a_line_is_read_as_written():
+    signer = Signer("b@l", KEY, (NAMESPACE, "git"), day(1), day(2))
+    assert read_signer(signer.line) == signer
+    assert 'valid-before="20260103000000Z"' in signer.line
+
+
 # ------------------------------------------------------------------ replacing the key
 
 
@@ -170,6 +176,14 @@ def test_a_key_that_was_replaced_during_a_run_is_loaded_again(tmp_path):
     (home / "bench_key.pub").unlink()
     with pytest.raises(EvidenceError, match=r"cannot seal.*expired.*keys rotate"):
         key_to_seal(home, old, later)
+
+
+def test_a_clock_that_was_set_back_is_told(tmp_path):
+    create_key(tmp_path / "home")
+    rotate(tmp_path / "home", datetime.now(UTC), passphrase=None, keep_old=False)
+    message = r"not valid before.*Check the clock of this computer: it is 2001-02-03"
+    with pytest.raises(EvidenceError, match=message):
+        usable_key(tmp_path / "home", datetime(2001, 2, 3, tzinfo=UTC))
 
 
 def test_a_validity_that_ends_earlier_is_not_prolonged(tmp_path):
@@ -266,6 +280,18 @@ def test_the_revoked_keys_beside_named_trusted_keys_are_used(tmp_path, key):
     (tmp_path / "lab" / "revoked_keys").write_text(RevokedKey(key.public_key, day(1), "lost").line + "\n")
     assert read_trust(tmp_path / "home").revoked == []
     assert len(read_trust(tmp_path / "home", allowed_signers=tmp_path / "lab" / "signers").revoked) == 1
+
+
+def test_a_list_that_is_no_list_is_refused(tmp_path):
+    path = tmp_path / "signers"
+    for data, why in (
+        (b"#" * (17 << 20), "more than 16777216 bytes"),
+        (b"\xff\xfe", "not text"),
+        (b"\0" * 9, "signers:1"),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(BenchError, match=why):
+            read_signers(path)
 
 
 @given(st.text(max_size=200))

@@ -10,7 +10,7 @@ from authorising import make_key, needs_ssh_keygen
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from bench.base.errors import EvidenceError
+from bench.base.errors import EvidenceError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.keys import create_key, ensure_key, load_key
 from bench.evidence.public_half import load_public_key
@@ -156,6 +156,15 @@ def test_a_line_that_is_not_understood_is_named(tmp_path, line):
         read_one(tmp_path, line)
 
 
+def test_a_list_that_is_missing_or_a_pipe_is_refused_at_once(tmp_path):
+    path = tmp_path / "signers"
+    with pytest.raises(EvidenceError, match=r"signers: .*No such file"):
+        read_signers(path)
+    os.mkfifo(path, 0o600)
+    with pytest.raises(StorageError, match="a pipe"):
+        read_signers(path)
+
+
 def test_a_further_key_is_trusted_once(tmp_path):
     create_key(tmp_path)
     for _ in range(2):
@@ -163,6 +172,12 @@ def test_a_further_key_is_trusted_once(tmp_path):
     assert [s.principal for s in read_signers(tmp_path / "allowed_signers")][1:] == ["bench2@lab"]
     with pytest.raises(EvidenceError, match="not a line"):
         trust(tmp_path, "nonsense")
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="file"):
+        ensure_key(tmp_path / "file" / "home")
 
 
 @pytest.mark.parametrize("passphrase", [None, b"secret"])

@@ -84,6 +84,12 @@ def test_where_ledger_mark_and_index_are_gone_a_sealed_folder_beside_shows_it(
     assert "first" in ended.stderr
 
 
+def test_a_new_bench_has_no_ledger_and_no_fault(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv(HOME_VARIABLE, str(bench.ledger.home))
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["ledger"], standalone_mode=False).return_value == 0
+
+
 def test_after_a_rollback_of_everything_here_the_sealed_runs_show_it(bench, tmp_path):
     bench.run(tmp_path / "first")
     copies = {path: path.read_bytes() for path in bench.ledger.home.glob("ledger*")}

@@ -34,6 +34,21 @@ def test_the_untouched_bundle_passes(sealed_once, signers, key):
     assert verification.files == 12
 
 
+@pytest.mark.parametrize(
+    "name", ["captures/pose-003-attempt-1.raw", ".hidden", "exports/.x/y", "SHA256SUMS.sig2"]
+)
+def test_an_added_file_is_found(sealed, signers, name):
+    (sealed / name).parent.mkdir(exist_ok=True)
+    (sealed / name).write_text("added")
+    assert kinds(verify_folder(sealed, signers)) == [("added", name)]
+
+
+def test_a_missing_file_is_found(sealed, signers):
+    (sealed / "results.json").unlink()
+    (fault,) = verify_folder(sealed, signers).to_dict()["faults"]
+    assert fault == {"kind": "missing", "where": "results.json", "what": "the file is missing"}
+
+
 # ------------------------------------------------------------------ attacks
 
 

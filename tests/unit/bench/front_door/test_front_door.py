@@ -1,5 +1,6 @@
 """The package `starbench`: quick to import, complete, and closed to foreign packages with the names of ours."""
 
+import json
 import re
 import subprocess
 import sys
@@ -76,6 +77,23 @@ def test_a_foreign_package_is_named_and_never_imported(door, name, tmp_path):
     assert f"Starbench is in {ROOT}" in done.stderr or "site-packages" in done.stderr
     assert f"remove {tmp_path} from PYTHONPATH" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_foreign_module_in_one_file_is_refused_too(tmp_path):
+    (tmp_path / "calib.py").write_text("print('FOREIGN')\n")
+    done = run("command", tmp_path, "runs", "--json")
+    assert done.returncode == 1
+    error = json.loads(done.stdout)["error"]
+    assert error["kind"] == "ForeignPackageError"
+    assert str(tmp_path / "calib.py") in error["message"]
+    assert "virtual environment" in error["remedy"]
+
+
+def test_a_folder_that_is_no_package_does_no_harm(tmp_path):
+    (tmp_path / "drivers").mkdir()
+    done = run("command", tmp_path, "--version")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("starbench, version")
 
 
 def test_a_notebook_with_a_foreign_package_gets_an_import_error(tmp_path, monkeypatch):

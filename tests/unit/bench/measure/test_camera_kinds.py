@@ -56,6 +56,14 @@ def test_a_flicker_becomes_steady_light_at_its_high_level_for_a_frame_camera():
     assert event.light_settings(flicker).waveform == "square"
 
 
+def test_a_plan_notes_that_a_flicker_becomes_steady_light():
+    planned = make_plan(*load_documents("three_pose", "simulated_frames"))
+    assert not planned.faults
+    (remark,) = planned.remarks
+    assert "the light is steady" in remark.message
+    assert planned.size_bytes > 3 * 8 * 1280 * 720
+
+
 def test_a_sequence_of_steady_light_is_only_for_frame_cameras(steady):
     for_frames = make_plan(*load_documents(steady, "simulated_frames"))
     assert (for_frames.faults, for_frames.remarks) == ((), ())

@@ -130,6 +130,16 @@ def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
     assert "chmod 700" in open_to_others.remarks[0]
 
 
+def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
+    (tmp_path / "file").write_text("")
+    kept = KeptViews(tmp_path / "file" / "views")
+    find = Finder(made_view(rim=made_rim()))
+    for _ in range(3):
+        kept.view(recording, OPTIONS, find)
+    assert find.calls == 3
+    assert len(kept.remarks) == 1
+
+
 def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatch):
     monkeypatch.setattr("pathlib.Path.replace", full)
     find = Finder(made_view(rim=made_rim()))
@@ -157,6 +167,18 @@ def test_several_writers_of_one_entry_leave_it_whole(kept):
         thread.join()
     assert torn == []
     assert [path.name for path in (kept.folder / key[:2]).iterdir()] == [f"{key}.view"]
+
+
+def test_a_recording_with_holes_is_not_hashed(kept, recording, monkeypatch):
+    with recording.open("r+b") as file:
+        file.truncate(10 << 30)
+    monkeypatch.setattr("bench.measure.kept_views.sha256_of", lambda _: pytest.fail("it was hashed"))
+
+    def find():
+        raise ValueError("holes")
+
+    with pytest.raises(ValueError, match="holes"):
+        kept.view(recording, OPTIONS, find)
 
 
 def test_the_version_of_the_detector_covers_all_that_finds_stars():

@@ -315,6 +315,18 @@ def test_values_that_no_collimator_has_are_refused(values):
         parse_passport(altered(values=values), "p")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"values"', '"covariance": [], "values"', "'covariance' is there twice"),
+        ("255.0", "1e999", r"values\.2 is inf"),
+    ],
+)
+def test_json_that_readers_take_differently_is_refused(old, new, says):
+    with pytest.raises(UsageError, match=says):
+        parse_passport(altered().replace(old.encode(), new.encode(), 1), "p")
+
+
 def test_a_passport_without_a_seal_gets_one_in_a_new_file(tmp_path, key):
     (tmp_path / "hand.json").write_bytes(altered())
     seal_file(tmp_path / "hand.json", tmp_path / "sealed.json", key)

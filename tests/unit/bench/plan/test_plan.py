@@ -247,25 +247,35 @@ def test_angles_that_look_like_radians_are_remarked():
     assert "within 0.21 degrees" in remark.message
 
 
-def test_eleven_faults_planted_in_both_files_are_reported_at_once(tmp_path):
+def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
     sequence = tmp_path / "sequence.yaml"
     sequence.write_text(
         "format: starbench/sequence/1\n"
         "nam: x\n"  # 1 unknown key, 2 name missing
         "defaults:\n"
-        "  record: {window_ms: -33, gates: {min_stars: 1.5}}\n"  # 3, 4
-        "  record: {}\n"  # 5 duplicate
+        "  light: {frequency_hz: sixty, waveform: saw}\n"  # 3, 4
+        "  record: {window_ms: -33, attempts: 0, image: best, gates: {min_stars: 1.5}}\n"  # 5, 6, 7, 8
+        "  record: {}\n"  # 9 duplicate
+        "poses:\n"
+        "  a: [{pan_deg: .inf}, {name: only}]\n"  # 10, 11
         "steps:\n"
-        "  - lihgt\n"  # 6
-        "  - solve: {distortion: [k1, k7], loss: &l1 l1}\n"  # 7, 8, 9 anchor
+        "  - lihgt\n"  # 12
+        "  - wait\n"  # 13 duration missing
+        "  - prompt: {text: x, default: perhaps}\n"  # 14
+        "  - repeat: {steps: [move]}\n"  # 15 neither poses nor times
+        "  - solve: {distortion: [k1, k7], loss: &l1 l1}\n"  # 16, 17, 18 anchor
     )
     station = tmp_path / "station.yaml"
     station.write_text(
-        PLAIN.replace("driver: scpi", "driver: scpy").replace("[-10, 10]", "[10, -10]")
-    )  # 10, 11
+        PLAIN.replace("driver: scpi", "driver: scpy")  # 19
+        .replace("serial: 100101", "serial:")  # 20
+        .replace("[-10, 10]", "[10, -10]")  # 21
+        .replace("sim:camera", "sim:webcam")  # 22
+        .replace("simulation: {}", "simulation: {}\ndisc: {}")  # 23
+    )
     with pytest.raises(ScriptError) as caught:
         load_documents(str(sequence), str(station))
-    assert len(caught.value.faults) == 11, str(caught.value)
+    assert len(caught.value.faults) == 23, str(caught.value)
     assert all(line.startswith((f"{sequence}:", f"{station}:")) for line in caught.value.faults)
     assert caught.value.exit_status == 2
 

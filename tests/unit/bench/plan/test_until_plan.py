@@ -9,7 +9,7 @@ from station_texts import PLAIN
 
 from bench.base.errors import ScriptError, UsageError
 from bench.batch.batch_plan import read_job, read_queue
-from bench.plan.job import Job, calibration_options
+from bench.plan.job import Job, ParkStep, calibration_options
 from bench.plan.plan import load_documents, make_plan
 from bench.stations.cameras import OpenCvCameraConfig
 from calib.calibration import LossName, ModelName
@@ -18,7 +18,7 @@ from calib.model.lens import BROWN, FISHEYE
 from sequences import solve_schema as schema
 from sequences.reader import check_document
 from sequences.schema import Sequence
-from sequences.script import ChooseStep, MoveStep
+from sequences.script import ChooseStep, LightStep, MoveStep
 
 SHIPPED = Path(__file__).parents[4] / "sequences" / "until_good.yaml"
 
@@ -44,6 +44,22 @@ def test_fewer_recordings_or_minutes_make_it_shorter_and_smaller(tmp_path):
     assert few.duration_s < short.duration_s < many.duration_s
     assert few.size_bytes < short.size_bytes < many.size_bytes
     assert few.most_bytes < many.most_bytes
+
+
+def test_plan_json_names_the_rounds_and_the_bounds(plan):
+    data = plan.to_dict()
+    (until,) = data["untils"]
+    assert data["most_poses"] == until["at_most"] == 25
+    assert (until["starts"], until["minutes"]) == (3, 20)
+    assert until["goals"] == {"expanded_fx_px": 2.5, "worst_corner_px": 1.5}
+    assert len(data["poses"]) == 3
+    assert data["steps"][until["first"] - 1]["what"] == "move"
+
+
+def test_the_stage_parks_after_the_last_round(plan):
+    job = Job.from_plan(plan, seed=1, operator=None)
+    place = next(i for i, step in enumerate(job.steps) if isinstance(step, ParkStep))
+    assert isinstance(job.steps[place - 1], LightStep)
 
 
 def test_a_chosen_pose_has_its_angles_from_the_journal_and_others_turn_every_axis(plan):
@@ -151,6 +167,11 @@ def test_a_station_with_a_credential_is_refused_at_its_line(tmp_path, more, says
     assert says in str(fault)
     assert fault.line > PLAIN.count("\n")
     assert SECRET not in str(fault)
+
+
+def test_a_setting_with_a_credential_is_refused(tmp_path):
+    settings = {"station.laboratory": f"https://x:{SECRET}@lab.example/"}
+    assert "URL with a password" in str(plan_of(tmp_path, settings=settings).faults[0])
 
 
 def test_webhooks_are_refused_at_their_line_with_what_to_write_now(tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.record.device_end import DeviceEnd
+from bench.record.device_end import DeviceEnd, all_ends
 from bench.stations import devices
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, ReplyTimeout
@@ -24,6 +24,11 @@ def test_the_text_says_what_may_be_the_case(device, state, reason, text):
     end = DeviceEnd(device, state, reason)
     assert end.text == f"{device}: {state}{':' if reason else '.'} {text}".rstrip()
     assert DeviceEnd.from_dict(end.to_dict()) == end
+
+
+def test_a_device_that_nobody_mentions_was_never_opened():
+    light = DeviceEnd("light", "confirmed safe", "off")
+    assert [end.state for end in all_ends([light])] == ["never opened", "confirmed safe", "never opened"]
 
 
 class Stage:

@@ -14,7 +14,7 @@ from journals import CLOCKS
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
-from bench.record.ledger_marks import MARK, highest_counts
+from bench.record.ledger_marks import MARK, RunFault, highest_counts
 
 
 def begin(ledger, run="run", **more):
@@ -60,6 +60,18 @@ def test_a_rollback_that_has_grown_again_to_its_old_length_is_noticed(ledger):
     (ledger.home / MARK).write_bytes(mark)
     assert len(ledger.path.read_bytes().splitlines()) == len(copy.splitlines())
     assert "has another line 6" in faults(ledger)[0]
+
+
+def test_an_end_is_entered_though_the_ledger_was_deleted_and_no_number_is_given_twice(ledger):
+    runs(ledger, 1)
+    place = begin(ledger)
+    ledger.path.unlink()
+    assert "has 0 of at least 3 lines" in faults(ledger)[0]
+    ledger.end(place["number"], how="finished", folder=Path("/runs/none"))
+    assert [e.event for e in ledger.entries()] == ["ledger_broken", "run_ended"]
+    assert [known["runs"] for known in ledger.entries()[0].data["known"]] == [2]
+    assert ledger.runs() == []
+    assert begin(ledger)["number"] == 3
 
 
 def test_a_damaged_ledger_is_kept_and_does_not_stop_a_run(ledger):
@@ -261,6 +273,12 @@ def test_an_explained_run_that_comes_back_changed_is_a_fault_again(ledger, lost_
     (lost_run / "SHA256SUMS").write_text("sealed again")
     (fault,) = ledger.faults()
     assert "was changed after sealing" in str(fault)
+
+
+def test_an_explained_run_stays_explained_if_the_fault_is_told_in_other_words(ledger, lost_run, monkeypatch):
+    ledger.explain("The disk broke.", "ada")
+    monkeypatch.setattr(RunFault, "__str__", lambda self: "other words")
+    assert ledger.faults() == []
 
 
 def test_a_mark_that_the_disk_does_not_give_is_an_error_of_the_disk_and_no_break(ledger):

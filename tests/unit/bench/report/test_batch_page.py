@@ -109,3 +109,20 @@ def test_a_run_is_green_only_without_any_reservation(facts, pill):
 def test_what_is_not_measured_says_so_at_the_top(flag):
     html = render_batch(summary(item("a-001"), **{flag: True}))
     assert '<div class="simulated-bar">' + flag.upper() in html
+
+
+def test_the_mean_of_many_runs_is_not_better_than_what_they_share():
+    drawn = np.random.default_rng(4)
+    runs = [run(n, fx=0.3 * drawn.normal(), sigma=0.5, shared=0.4, hours=0.1 * n) for n in range(60)]
+    fx = agreements(runs)[0]
+    assert 0.4 < fx.sigma < 0.41
+    assert fx.expanded == 2.2 * fx.sigma
+
+
+def test_runs_that_differ_much_less_than_they_say_are_told_and_their_mean_is_not_better():
+    runs = [run(n, fx=0.01 * n, hours=0.1 * n) for n in range(3)]
+    page = render_batch(summary(cameras=[of_runs(runs)]))
+    assert "not better than one run" in page
+    assert "agree within" not in page
+    assert '<span class="pill marginal">repeats</span>' in page
+    assert agreements(runs)[0].sigma == pytest.approx(0.5, rel=0.01)

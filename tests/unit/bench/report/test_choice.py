@@ -35,6 +35,14 @@ def test_the_worst_come_first_then_failed_then_marginal_gates_then_others_evenly
     assert max(np.diff(others)) - min(np.diff(others)) <= 6
 
 
+def test_failed_gates_leave_no_room_for_marginal_ones_and_are_spread_where_too_many():
+    verdicts = {place: "fail" if place % 2 else "marginal" for place in range(100, 200)}
+    chosen = places(pictured_poses(results_of([0.3, 0.3, 0.3, *[0.1] * 297], verdicts)))
+    assert chosen[:3] == [0, 1, 2]
+    assert (chosen[3], chosen[-1], len(chosen)) == (101, 199, MOST)
+    assert all(place % 2 for place in chosen[3:])
+
+
 @given(
     st.lists(st.one_of(st.none(), st.floats(0, 9)), max_size=120),
     st.dictionaries(st.integers(0, 130), st.sampled_from(["pass", "marginal", "fail"])),

@@ -1,5 +1,7 @@
 """Plots of the camera: round contours, the distortion curve with its band, the part that stars support."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,8 +9,9 @@ from hypothesis import strategies as st
 
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.distortion_plot import displacement, distortion_curve, field_angles_deg
-from bench.report.maps import round_levels
+from bench.report.maps import round_levels, sensor_map
 from bench.report.supported import reach_px, star_distance
+from calib.uncertainty.projection_uncertainty import sensor_grid
 
 
 @given(st.floats(0, 1e4), st.floats(1e-6, 1e4))
@@ -19,6 +22,14 @@ def test_contours_are_few_round_numbers_between_the_values(lowest, span):
     assert levels == sorted(set(levels))
     for step in np.diff(levels) if len(levels) > 2 and lowest * 6 > lowest + span else []:
         assert float(f"{step:.6g}") == pytest.approx(step, rel=1e-3)
+
+
+def test_a_map_labels_its_contours_with_these_numbers():
+    grid = sensor_grid((640, 360), 17)
+    svg = sensor_map(grid, 0.03 + grid[..., 0] / 700, "U, px", "u", "U over the sensor")
+    labels = {float(text) for text in re.findall(r">(0\.\d+)</text>", svg)}
+    assert {0.1, 0.2, 0.5} <= labels
+    assert "at most 0.94" in svg
 
 
 def test_the_distortion_curve_is_brown_s_with_the_propagated_uncertainty(data):
@@ -40,6 +51,15 @@ def test_the_distortion_curve_is_brown_s_with_the_propagated_uncertainty(data):
     svg = distortion_curve(camera, covariance, 2.0, 9.0)
     assert "outermost star" in svg
     assert set(field_angles_deg(camera)) == {"sides", "top, bottom", "corner"}
+
+
+def test_a_fisheye_lens_is_drawn_against_its_own_ideal():
+    values = {"fx": 300.0, "fy": 300.0, "cx": 319.5, "cy": 239.5, **dict.fromkeys(("kb2", "kb3", "kb4"), 0.0)}
+    camera = camera_of({**values, "kb1": 0.01}, (640, 480))
+    shown, sigma = displacement(camera, np.diag([1e-4] * 8), np.array([0.0, 60.0]))
+    theta = np.radians(60.0)
+    np.testing.assert_allclose(shown, [0, 300 * 0.01 * theta**3], atol=1e-6)
+    assert sigma[1] > 0
 
 
 def test_stars_support_their_surroundings_only():

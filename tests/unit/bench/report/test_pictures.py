@@ -52,3 +52,15 @@ def test_residuals_are_drawn_from_the_star_in_their_direction():
     (right,) = [s for s in strokes if s[2] > s[0] + 1 and abs(s[3] - s[1]) < 0.1]
     (down,) = [s for s in strokes if s[3] > s[1] + 1 and abs(s[2] - s[0]) < 0.1]
     assert right[2] - right[0] == pytest.approx(2 * (down[3] - down[1]), rel=0.02)
+
+
+@pytest.mark.parametrize(("last_px", "grey"), [(0.1, 0), (0.5, 1)])
+def test_stars_that_have_lost_their_weight_are_grey(last_px, grey):
+    residual = np.tile([0.1, 0.0], (9, 1))
+    residual[8] = 0.0, last_px
+    detected = np.column_stack([np.linspace(20.0, 300.0, 9), np.full(9, 90.0)])
+    view = ViewPicture("a", np.zeros((180, 320), np.uint8), detected, detected - residual, np.arange(9))
+    svg = residual_vectors([view], SMALL)
+    drawn = re.findall(r'<path d="((?:M[^"hL]*h0)+)"[^>]*class="[^"]*muted', svg)
+    assert sum(path.count("h0") for path in drawn) == grey
+    assert ("beyond 3.5 sigma" in svg) == bool(grey)

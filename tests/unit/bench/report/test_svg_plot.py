@@ -1,10 +1,11 @@
 """Charts of a report: their frame, their scales, and the outlines of maps."""
 
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bench.report.contours import outlines
@@ -60,6 +61,12 @@ def test_ticks_are_few_round_numbers_within_the_range(low, span, most):
         assert len(set(tick_labels(places))) == len(places)
 
 
+def test_a_range_that_is_upside_down_has_its_first_value_at_the_bottom():
+    rows = Scale(719.5, -0.5)
+    np.testing.assert_allclose(rows.share([719.5, 359.5, -0.5]), [0, 0.5, 1])
+    assert [label for _, label in rows.chosen_ticks(4)] == ["0", "200", "400", "600"]
+
+
 def test_a_logarithmic_axis_spreads_ratios_evenly_and_has_round_numbers():
     np.testing.assert_allclose(Scale(1, 100, "log").share([1, 10, 100]), [0, 0.5, 1])
     assert log_ticks(0.7, 30) == [1, 2, 5, 10, 20]
@@ -83,6 +90,15 @@ def total(lines):
     return abs(sum(area(outline.points) for outline in lines))
 
 
+def test_a_plane_is_cut_where_it_reaches_the_level():
+    slope = np.tile(X, (len(Y), 1))
+    (half,) = outlines(X, Y, slope, 50.5)
+    assert total([half]) == pytest.approx((160 - 50.5) * 90)
+    (line,) = half.lines()
+    np.testing.assert_allclose(line[:, 0], 50.5)
+    assert sorted(line[[0, -1], 1].tolist()) == [0.0, 90.0]
+
+
 def test_a_disc_within_the_map_is_one_closed_line_and_outside_of_it_a_hole():
     distance = np.hypot(X[None] - 80, Y[:, None] - 45)
     (disc,) = outlines(X, Y, -distance, -30.0)
@@ -92,3 +108,16 @@ def test_a_disc_within_the_map_is_one_closed_line_and_outside_of_it_a_hole():
     outside = outlines(X, Y, distance, 30.0)
     assert len(outside) == 2
     assert total(outside) == pytest.approx(160 * 90 - np.pi * 900, rel=0.01)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(-1.0, 1.0))
+def test_another_program_finds_the_same_area(seed, level):
+    contourpy = pytest.importorskip("contourpy")
+    values = np.random.default_rng(seed).normal(size=(len(Y), len(X)))
+    theirs = contourpy.contour_generator(X, Y, values, fill_type="OuterOffset", corner_mask=True)
+    points, offsets = theirs.filled(level, 1e9)
+    rings = [p[a:b] for p, o in zip(points, offsets, strict=True) for a, b in pairwise(o.tolist())]
+    assert total(outlines(X, Y, values, level)) == pytest.approx(
+        abs(sum(map(area, rings))), rel=1e-9, abs=1e-9
+    )

@@ -7,7 +7,7 @@ import pytest
 from report_sample import BORESIGHT, SMALL, sample
 
 from bench.record.results import MountFace, ReadingsUse
-from bench.report.calibration_tables import budget_rows, overlap, witness_rows
+from bench.report.calibration_tables import budget_rows, combined, not_included, overlap, witness_rows
 from bench.report.html import render_report
 from bench.report.run_tables import boresight_rows, inputs, readings_rows
 from bench.wording.numbers import NOTHING
@@ -39,6 +39,12 @@ def test_a_row_is_printed_with_units_divisor_and_shares(calibration):
     assert (stars["value"], stars["sensitivity"]) == (NOTHING, NOTHING)
     assert stars["distribution"] == "normal, \N{GREEK SMALL LETTER NU} = 1791"
     assert sum(row["shares"][0] for row in rows.values()) == pytest.approx(1)
+
+
+def test_the_sums_are_those_of_the_contributions_and_what_is_not_included_keeps_its_effect(calibration):
+    assert combined(calibration) == (("2.1", "0.48"), ("4.3", "0.97"))
+    assert not_included(calibration)[0][0] == "bow of the print"
+    assert not_included({"not_included": ["mounting of the lens"]}) == [("mounting of the lens", "")]
 
 
 def test_rows_that_can_hold_the_same_errors_are_named(calibration):

@@ -2,17 +2,21 @@
 
 import copy
 import json
+import re
 from decimal import Decimal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from report_sample import RESULTS, SIGMA, TRUE
+from report_sample import RESULTS, SIGMA, SMALL, TRUE
 
 from bench.base.bounded_json import canonical_json
+from bench.record.stored_calibration import camera_of
 from bench.record.stored_run import results_of
 from bench.report.html import ReportData, render_report
 from bench.wording.numbers import with_uncertainty
+from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from tests.support.printed_text import printed_text
 
 
@@ -84,6 +88,19 @@ def test_a_collimator_s_imperfections_are_named_with_their_uncertainty(data):
     place = words.index("collimator: reticle out of focus")
     assert words[place - 1 : place + 3] == ["pupil shift", words[place], "\N{MINUS SIGN}0.071", "± 0.011"]
     assert any("model “pupil”" in word for word in words)
+
+
+def shown_of(html, title):
+    """What a map of the report states: its largest value."""
+    return re.findall(rf">{title}, px</text>\s*<text[^>]*>median [\d.e+\-]+, at most ([\d.e+\-]+)<", html)
+
+
+def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html):
+    # of the shown digits, "at most" is k times what the engine's own map says
+    calibration = data.results["calibration"]
+    covariance = np.array(calibration["covariance"]["matrix"])[:6, :6]
+    uncertainty = projection_uncertainty(camera_of(calibration["camera"], SMALL), covariance)
+    assert shown_of(html, "U of an image point") == [f"{2 * uncertainty.worst_px:.2g}"]
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e5))

@@ -59,6 +59,15 @@ def test_without_convergence_no_value_is_stated(data):
     assert judged.sentences[0] in render_report(type(data)(results))
 
 
+def test_results_of_earlier_versions_still_name_a_worst_corner(data):
+    results = {key: value for key, value in data.results.items() if key not in ("projection", "previous")}
+    worst = "Error of an image point in the worst corner: at most 0.9"
+    assert any(sentence.startswith(worst) for sentence in verdict(results).sentences)
+    assert change(results) is None
+    first = {"run": None, "why_not": "This is the first calibration of this camera on this bench."}
+    assert verdict_with(data, previous=first).sentences[-1] == first["why_not"]
+
+
 def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
     results = copy.deepcopy(dict(data.results))
     change_then = results["previous"]["change"]

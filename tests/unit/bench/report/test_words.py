@@ -1,10 +1,14 @@
 """The report tells what was done and found, and claims no more."""
 
+import copy
 import json
 import re
 from pathlib import Path
 
+from report_sample import SMALL, sample
+
 from bench.base.bounded_json import canonical_json
+from bench.report.html import ReportData, render_report
 from tests.support.printed_text import printed_text
 
 
@@ -13,6 +17,22 @@ def test_simulated_stands_on_screen_in_the_title_and_on_every_printed_page(html)
     assert "<title>SIMULATED" in html
     assert '@top-right { content: "SIMULATED DEVICES"' in html
     assert '<div class="watermark" aria-hidden="true"><span>SIMULATED</span></div>' in html
+
+
+def test_nothing_is_called_simulated_on_a_real_bench():
+    data = sample(size=SMALL, simulated=False)
+    html = render_report(data)
+    assert "SIMULATED" not in html
+    assert "truth" not in " ".join(printed_text(html)).lower()
+
+
+def test_the_ledger_tells_of_the_camera_s_other_runs(data, html):
+    words = printed_text(html)
+    assert "12 of this bench; earlier runs of this camera: 2 finished" in words
+    assert data.results["run"]["ledger"]["head"] in words
+    results = copy.deepcopy(dict(data.results))
+    del results["run"]["ledger"]
+    assert "ledger" not in " ".join(printed_text(render_report(ReportData(results)))).lower()
 
 
 #: In results.json only if the station states it, or if a board was seen; not in the sample.

@@ -10,6 +10,7 @@ from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.record import inbox as inbox_module
 from bench.record.events import Entering, Event
+from bench.record.folder_lock import is_locked
 from bench.record.history import Attempt, History, replay
 from bench.record.journal import Journal, read_journal
 from bench.record.run_folder import RunFolder
@@ -33,6 +34,7 @@ HELD = History(holder="ada")
 AT_POSES = History(to_skip={2: "ada"})
 AT_POSES.add(accepted(1))
 TAKEN_UP = {"take_over": True}
+ANSWERED = History(question="Cap off?", answer=("abort", "ada"))
 
 
 @pytest.mark.parametrize(
@@ -52,12 +54,7 @@ TAKEN_UP = {"take_over": True}
         ("skip", {"pose": 2}, AT_POSES, "already skipped"),
         ("answer", {"answer": "continue"}, History(), "the run asks no question"),
         ("answer", {"answer": "continue"}, History(question="Cap off?"), ""),
-        (
-            "answer",
-            {"answer": "continue"},
-            History(question="Cap off?", answer=("abort", "ada")),
-            "the run asks no question",
-        ),
+        ("answer", {"answer": "continue"}, ANSWERED, "the run asks no question"),
     ],
 )
 def test_a_command_that_a_person_may_not_give_now_is_refused_with_the_reason(word, more, history, why):
@@ -195,3 +192,22 @@ def test_a_command_to_a_run_that_is_ending_is_refused_as_too_late(run, monkeypat
     monkeypatch.setattr(inbox_module, "write_atomic", too_late)
     with CommandInbox(folder, log, POSES, clock) as inbox, pytest.raises(RunFolderError, match="is ending"):
         send(folder, command("hold"))
+
+
+def test_testing_the_lock_of_a_run_does_not_block_others(tmp_path):
+    RunFolder.create(tmp_path / "run").close()
+    stop = threading.Event()
+
+    def ask():
+        while not stop.is_set():
+            is_locked(tmp_path / "run")
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    try:
+        for _ in range(20):
+            RunFolder.create(tmp_path / "run").close()
+    finally:
+        stop.set()
+        asking.join()
+    assert not is_locked(tmp_path / "run")

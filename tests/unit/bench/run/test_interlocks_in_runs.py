@@ -10,6 +10,7 @@ from bench.batch.virtual_devices import VirtualCamera
 from bench.record.events import Event
 from bench.run.interlocks import Interlocks
 from bench.run.messages.run_messages import HoldNotifier
+from bench.run.status import read_status, status_text
 
 
 def scene_with_door(tmp_path, monkeypatch, max_hold_s=600):
@@ -84,6 +85,15 @@ def test_a_door_that_stays_open_ends_the_run_which_can_be_resumed(tmp_path, monk
     assert scene.run().how == "finished"
 
 
+def test_holds_are_added_up(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=100)
+    open_door_at("stage.move_to", scene, sensor, monkeypatch, lambda _: 30, times=99)
+    end = scene.run()
+    assert end.how == "failed"
+    assert "for 100 s" in end.why
+    assert len(scene.data_of(Event.INTERLOCK_RELEASED)) == 3
+
+
 def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=3600)
     open_door_at("stage.move_to", scene, sensor, monkeypatch, lambda nth: 601 if nth == 4 else 1, times=6)
@@ -95,6 +105,23 @@ def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, 
     assert scene.run().how == "finished"
     assert len(scene.data_of(Event.INTERLOCK_RELEASED)) == 6
     assert [occasion for occasion, _, _ in messages] == ["hold", "hold"]
+
+
+def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):
+    scene, sensor = scene_with_door(tmp_path, monkeypatch)
+    sensor.write_text("0")
+    texts = []
+
+    def hook(name):
+        if scene.runner is not None and scene.runner.state == "holding":
+            texts.append(status_text(read_status(scene.folder)))
+            sensor.write_text("1")
+
+    scene.hook = hook
+    assert scene.run().how == "finished"
+    assert any("HELD by the door interlock: it is open" in text for text in texts)
+    assert any("the run continues when this is over" in text for text in texts)
+    assert "HELD" not in status_text(read_status(scene.folder))
 
 
 def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path, monkeypatch):

@@ -69,3 +69,11 @@ def test_a_resumed_run_tells_of_a_break_too(ledger, tmp_path):
     assert "2 are missing" in enter_in_ledger(ledger, job(), tmp_path / "a", place)["faults"][0]
     with pytest.raises(EvidenceError):
         enter_in_ledger(ledger, job(strict=True), tmp_path / "a", place)
+
+
+def test_a_station_that_names_a_second_place_is_told_that_it_is_not_used(ledger, tmp_path):
+    anchor = tmp_path / "bench2.heads"
+    place = run(ledger, tmp_path / "a", job(anchor=str(anchor), strict=True))
+    assert "faults" not in place
+    assert any(line.startswith("WARNING: ") and "ledger.anchor" in line for line in ledger_lines(place))
+    assert not anchor.exists()

@@ -1,5 +1,7 @@
 """Devices of a run: their cables are asked before it, a lost one is waited for, and how each is left is journaled."""
 
+from types import SimpleNamespace
+
 import pytest
 from rehearsed import TWO, Scene
 
@@ -8,10 +10,22 @@ from bench.record.device_end import DEVICES, NOT_ASKED
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.run.run_devices import NOT_REOPENED
+from bench.run.states import NOT_STATED, connections
 from bench.run.status import read_status, status_text
+from drivers.camera import CameraIdentity
 from drivers.errors import CameraLost, LightFault, PortLost, PortNotFound, ReplyTimeout, WrongDevice
 
 # ---------------------------------------------------------------- before a run
+
+
+@pytest.mark.parametrize(
+    ("link_mbit_s", "link_text"),
+    [(None, NOT_STATED), (480, "480 Mbit/s (USB 2)"), (5000, "5000 Mbit/s (USB 3)")],
+)
+def test_the_speed_of_the_connection_is_told(link_mbit_s, link_text):
+    words = ("Prophesee", "EVK4", "IMX636", "00051234", "3.9.0", 1280, 720)
+    camera = CameraIdentity(*words, link_mbit_s=link_mbit_s)
+    assert connections(camera, {"trigger_in": True}, SimpleNamespace())["camera_link"] == link_text
 
 
 def test_a_bench_that_is_not_ready_and_whose_stage_falls_silent_is_not_said_to_have_stood_still(

@@ -94,12 +94,8 @@ def numbers(monkeypatch):
 
 def decided(job, history, calibrated, *, last=False):
     steps = [step for step in job.steps if isinstance(step, ChooseStep)]
-    return decide(
-        steps[-1] if last else steps[0],
-        job,
-        history,
-        Interim([], calibrated, "" if calibrated else "Too few stars."),
-    )
+    made = Interim([], calibrated, "" if calibrated else "Too few stars.")
+    return decide(steps[-1] if last else steps[0], job, history, made)
 
 
 @pytest.mark.usefixtures("numbers")

@@ -120,6 +120,13 @@ def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
     assert re.search(f"stage.axes: .* {shared}", message)
 
 
+def test_a_run_with_the_simulated_camera_of_another_process_counts_as_simulated():
+    text = changed("simulation: {}\n", "")
+    for port, elsewhere in (("gimbal", "/dev/a"), ("light", "/dev/b"), ("camera", "127.0.0.1:5")):
+        text = text.replace(f"sim:{port}", elsewhere)
+    assert check_document(text.encode(), "b", Station).value.is_simulated
+
+
 def test_the_simulation_section_has_the_values_json_would_have_but_serial_numbers_stay_text():
     section = "simulation: {camera_serial: 123, camera: {fx: 3e3, k1: .06}, a: [true, 5, '6'], b: null, c: 007, d: NaN, e: 1e999, f: -2}"
     station = check_document(changed("simulation: {}", section).encode(), "b", Station).value

@@ -1,5 +1,7 @@
 """The reticle of a station: its areas, its files, and what it is good for."""
 
+import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +13,7 @@ from matplotlib.path import Path as Outline
 
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
-from bench.stations.reticle_files import drawing_file
+from bench.stations.reticle_files import WRITERS, drawing_file
 from bench.stations.station import load_station
 from bench.stations.station_fields import TargetConfig
 from bench.stations.target_files import optics_of, use_of
@@ -64,6 +66,18 @@ def test_scale_bars_are_round_and_as_long_as_they_say():
     assert scale_bar_mm(TargetConfig(**SMALL, drawing={"scale_bar_mm": 7.5})) == 7.5
     without = draw_target(TargetConfig(**SMALL, drawing={"scale_bar_mm": 0}))
     assert len(without.polygons) < len(draw_target(target).polygons)
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_the_same_station_gives_the_same_bytes_in_another_process(ending):
+    pytest.importorskip({".dxf": "ezdxf", ".gds": "gdstk"}.get(ending, "numpy"))
+    code = (
+        "import sys, pathlib; from bench.stations.reticle_files import drawing_file; from bench.stations.station_fields import TargetConfig;"
+        f"sys.stdout.buffer.write(drawing_file(TargetConfig(**{SMALL}), pathlib.Path('x{ending}')))"
+    )
+    drawn = subprocess.check_output([sys.executable, "-c", code], env={**os.environ, "PYTHONHASHSEED": "4"})
+    assert drawn == drawing_file(TargetConfig(**SMALL), Path(f"x{ending}"))
+    assert drawn != drawing_file(TargetConfig(**(SMALL | {"serial": "a-8"})), Path(f"x{ending}"))
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,16 @@ def test_of_two_processes_that_deliver_at_once_one_stands_back(outbox):
     assert not only(outbox)[1].perhaps_twice
 
 
+def test_two_processes_that_saw_the_same_file_do_not_both_send_it(outbox, monkeypatch):
+    """The other one claims it between this one's look and its claim."""
+    outbox.put(message(), [MAIL])
+    seen, other, mine = outbox.due(NOW, by_hand=False), Receiver(), Receiver()
+    deliver(outbox, other)
+    monkeypatch.setattr(outbox, "due", lambda *_, **__: seen)
+    assert deliver(outbox, mine) == 0
+    assert (len(other.taken), mine.taken) == (1, [])
+
+
 def test_a_sender_that_outlived_its_claim_does_not_undo_what_another_one_did(outbox):
     outbox.put(message(), [MAIL])
     other = Receiver()
