@@ -6,13 +6,13 @@ It needs ``summary.json`` alone; the template escapes every text.
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 from datetime import datetime, tzinfo
 from functools import partial
 from typing import Any
 from zoneinfo import ZoneInfo
 
+from bench.base.pasteable import pasteable
 from bench.record.coverage import REPEATS_TEXT, factors_text
 from bench.record.summaries import (
     WITHOUT_END,
@@ -66,7 +66,7 @@ def _resumes(summary: BatchSummary, failures: Sequence[ItemData]) -> list[str]:
     """Return the commands by which runs without a result go on, from the folder of the batch; none while it works."""
     if summary["rehearsal"] or summary["how"] != "failed":
         return []
-    return [f"starbench resume {shlex.quote(item['folder'])}" for item in failures if item["begun_utc"]]
+    return [pasteable("resume", item["folder"]) for item in failures if item["begun_utc"]]
 
 
 def _zone(summary: BatchSummary) -> tzinfo | None:

@@ -134,10 +134,6 @@ class Session:
             "station": {"name": station.name, "file": self.station.file, "simulated": station.is_simulated},
             "devices": {"state": condition, "failure": failed},
             "holder": self.holder.page,
-            "stage": None,
-            "light": None,
-            "camera": None,
-            "hands": None,
         }
         if bench is not None:
             failure = bench.loop.failure

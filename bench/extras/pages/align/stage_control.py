@@ -63,19 +63,9 @@ class StageControl:
         self._thread.start()
 
     @property
-    def state(self) -> StageState:
-        """The present state."""
-        return self._state
-
-    @property
     def moving(self) -> bool:
         """Whether the stage moves, or is about to."""
         return self._state.work is not None
-
-    @property
-    def failure(self) -> Failure | None:
-        """Why the stage does not answer, or why its last motion failed; None if nothing is wrong."""
-        return self._silent or self._state.failure
 
     def known_deg(self) -> Mapping[str, float]:
         """Return the present angles, degrees by axis; empty while the stage is not homed."""
@@ -100,7 +90,7 @@ class StageControl:
     def as_data(self) -> dict[str, Any]:
         """Return the state as the page shows it: plain values; an entry an axis in ``axes``."""
         state, limits = self._state, self._stage.limits
-        failure = self.failure
+        failure = self._silent or state.failure
         axes = [
             {
                 "name": name,

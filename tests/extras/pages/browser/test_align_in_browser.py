@@ -83,7 +83,7 @@ def test_before_home_the_page_turns_to_no_angle(chromium, bench):
     page.tab.click("#home")
     page.tab.click("#home-now")
     page.wait_text("#stage-state", "at rest")
-    assert session.bench.stage.state.homed
+    assert session.bench.stage.as_data()["homed"]
     page.close()
 
 
@@ -149,7 +149,7 @@ def test_the_simulated_bench_is_aligned_in_the_browser(chromium):
             page.wait("alignStats.images > 0", 30)
             page.tab.click("#home")
             page.tab.click("#home-now")
-            wait_until(lambda: session.bench.stage.state.homed, 30)
+            wait_until(lambda: session.bench.stage.as_data()["homed"], 30)
             page.tab.click("#light-on")
             page.wait_text("#light-state", "on")
             seen = session.picture().number
