@@ -2,9 +2,9 @@
 
     python tests/benchmarks/bench_costs.py RUN [--rounds 11] [--scaling 1.97] [--write]
 
-RUN is a finished run. Everything is done by one process, several times. The median of the CPU time is printed,
-which other work on the computer hardly changes, and its 95th percentile. The scaling to two workers is that of `bench_cluster.py --only scaling`.
-``--write`` puts the tables into docs/measured/costs.md.
+RUN is a finished run. Everything is done by one process, several times. The median of the CPU time is printed, which
+other work on the computer hardly changes, and its 95th percentile. The scaling to two workers is that of
+`bench_cluster.py --only scaling`. ``--write`` puts the tables into docs/measured/costs.md.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 """Speed of the simulated sensor: CPU seconds for a simulated second, one thread, compilation excluded.
 
-The work: 1280 x 720, the star target in front of an f = 3345 px camera, contrast 10 : 1, thresholds of 25 %,
-60 Hz. Each figure is the median of some slices of one flicker period, with the 95th percentile. Heavy noise is given twice: 10 Hz background
-with 2e-4 hot pixels at 2 kHz and 12 % mismatch, as the published comparison has it, and the configuration's
-``heavy`` (20 Hz, 5e-4, 25 %). Beside
-them stand those of published simulators on the same kind of work, measured once on a machine of the same class;
-they are not run here.
+The work: 1280 x 720, the star target in front of an f = 3345 px camera, contrast 10 : 1, thresholds of 25 %, 60 Hz. Each
+figure is the median of some slices of one flicker period, with the 95th percentile. Heavy noise is given twice: 10 Hz
+background with 2e-4 hot pixels at 2 kHz and 12 % mismatch, as the published comparison has it, and the configuration's
+``heavy`` (20 Hz, 5e-4, 25 %). Beside them stand those of published simulators on the same kind of work, measured once on
+a machine of the same class; they are not run here.
 
     python tests/benchmarks/bench_pixels.py [--write]
 """
