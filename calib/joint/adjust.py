@@ -27,12 +27,13 @@ from calib.joint.poses import seen_poses
 from calib.joint.pupils import shown_way
 from calib.joint.readings import MOST_SCATTER
 from calib.joint.solve import (
+    CURVED,
     Optimum,
     approached,
     first_amplitudes,
     first_equations,
-    is_near,
     optimum_with_faults,
+    relative_change,
     search,
     search_with_fault,
     solved,
@@ -181,12 +182,18 @@ def _begins(
     few = task._replace(views=[_thinned(view) for view in task.views])
     held = _held_starts(few, start)
     other = begun(min(held, key=lambda begin: _value_at(few.posed(begin)))) if held else None
-    if other is not None and (closed is None or not is_near(other.near, closed.near)):
+    if other is not None and (closed is None or not _begin_alike(closed, other)):
         expect(1)
         yield other
     if closed is not None and late:
         expect(1)
         yield closed
+
+
+def _begin_alike(first: _Begin, other: _Begin) -> bool:
+    """Tell whether focal lengths and centres are so near that not even the rotations follow a curve between them."""
+    step = other.near.shared - first.near.shared
+    return relative_change(first.problem.bench.layout, first.near, step) < CURVED
 
 
 def _thinned(view: View) -> View:

@@ -18,6 +18,7 @@ from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import HALVINGS, ROUGH, best_amplitudes
 from calib.joint.equations import Equations, State
+from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.places import step_to_places
 from calib.joint.prior import Faults
@@ -173,15 +174,10 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
         solution = solved(Marginal(problem, equations, state), first_amplitudes(problem, state))
         before = state
         state, lengths = shortened(solution)
-        if is_near(state, before):
+        if np.abs(state.shared[:2] / before.shared[:2] - 1.0).max() < _NEAR:
             break
         equations = first_equations(problem, state, lengths)
     return state
-
-
-def is_near(state: State, other: State) -> bool:
-    """Tell whether focal lengths differ so little that a search from either state would end at the same."""
-    return bool(np.abs(state.shared[:2] / other.shared[:2] - 1.0).max() < _NEAR)
 
 
 def optimum_with_faults(optimum: Optimum, faults: Faults, rounds: int, start: State | None = None) -> Optimum:
@@ -274,7 +270,12 @@ def searched(solution: Solution) -> Solution:
 
 def relative_step(marginal: Marginal, step: Array) -> float:
     """Return the largest (S,) step of focal lengths and centre, as a share of the focal length and of the radius."""
-    layout, b = marginal.problem.bench.layout, marginal.state.shared
+    return relative_change(marginal.problem.bench.layout, marginal.state, step)
+
+
+def relative_change(layout: Layout, state: State, step: Array) -> float:
+    """Return the same from another state."""
+    b = state.shared
     focal, centre = (np.abs(step[layout.places(names)]).max() for names in (("fx", "fy"), ("x", "y", "r")))
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
