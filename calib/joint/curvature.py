@@ -17,10 +17,9 @@ from calib.joint.marginal import Solution
 
 #: No step of the search changes a logarithm by more than this.
 _LONGEST = 1.5
-#: A step is halved so often at most.
-HALVINGS = 6
+_HALVINGS = 5
 #: Largest number of steps of a search.
-_MOST_STEPS = 30
+_MOST_STEPS = 20
 #: A search ends where a step promises less than this of -2 log: 0.01 is a tenth of a sigma.
 ROUGH, FINE = 0.02, 1e-3
 #: The curvature is found again after a step that changes a logarithm by more than this.
@@ -116,7 +115,7 @@ def best_amplitudes(
         if -float(solution.gradient @ step) < enough:
             break
         step *= min(1.0, _LONGEST / float(np.abs(step).max()))
-        for _ in range(HALVINGS):
+        for _ in range(_HALVINGS):
             tried = _tried(solution, np.clip(solution.eta + step, low, high))
             if tried is not None and tried.value < solution.value:
                 break

@@ -16,7 +16,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
-from calib.joint.curvature import HALVINGS, ROUGH, best_amplitudes
+from calib.joint.curvature import ROUGH, best_amplitudes
 from calib.joint.equations import Equations, State
 from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem, Solution
@@ -39,10 +39,11 @@ _LATE, _LATE_SHARE = 20, 0.25
 _SLOWER, _FASTER = 0.5, 1.5
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
+_HALVINGS = 6
 #: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966); else half.
 _LEAST_GAIN = 0.1
-#: Largest number of steps of a search of amplitudes in a round.
-_QUICK = 3
+#: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
+_QUICK, _LONG = 3, 30
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
@@ -255,7 +256,7 @@ def trusted_amplitudes(solution: Solution) -> Solution:
     farthest = max(TRUSTED, relative_step(marginal, solution.step))
     with _solvable():
         better = best_amplitudes(solution, _QUICK, farthest=_FARTHEST, enough=ROUGH)
-    for _ in range(HALVINGS):
+    for _ in range(_HALVINGS):
         if relative_step(marginal, better.step) < farthest:
             return better
         better = solved(marginal, 0.5 * (better.eta + solution.eta))
@@ -265,7 +266,7 @@ def trusted_amplitudes(solution: Solution) -> Solution:
 def searched(solution: Solution) -> Solution:
     """Search the best amplitudes from a solution, and return theirs; `NotConverged` if there is none."""
     with _solvable():
-        return best_amplitudes(solution)
+        return best_amplitudes(solution, _LONG)
 
 
 def relative_step(marginal: Marginal, step: Array) -> float:
@@ -291,7 +292,7 @@ def shortened(solution: Solution, most: float = 1.0) -> tuple[State, Array]:
     before = cost(marginal, squares, marginal.state, marginal.equations.lengths)
     share = relative_step(marginal, solution.step)
     size = min(most, _LONGEST / share) if share > 0 else most
-    for k in range(HALVINGS):
+    for k in range(_HALVINGS):
         state = moved(marginal, squares, size * solution.step, size * solution.fields)
         lengths = bench.whitened(state)
         enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * solution.gain
