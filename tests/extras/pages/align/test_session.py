@@ -329,13 +329,13 @@ def test_a_slice_holds_the_edges_of_the_light_and_a_moving_stage_makes_it_short(
 
 def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
     stage, states = FakeStage(), []
-    control = StageControl(stage, lambda: states.append(control.state))
+    control = StageControl(stage, lambda: states.append(control.as_data()))
     control.look(thoroughly=True)
     stage.fault, stage.faults = "the motor is stuck", list
     control.home()
-    wait_until(lambda: states[-1].failure is not None and states[-1].work is None)
+    wait_until(lambda: states[-1]["failure"] and states[-1]["work"] is None)
     control.close()
-    assert "the motor is stuck" in states[-1].failure.what
+    assert "the motor is stuck" in states[-1]["failure"]["what"]
 
 
 class ReadingCamera(FakeCamera):

@@ -23,8 +23,7 @@ from drivers.stage import AxisLimits, ximc
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.ximc_protocol import check_data, move_data, request
 from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.ximc import XimcController
-from tests.hil import mutated
+from simulators.stages.ximc import XimcController, crc16
 from tests.hil.direct_stages import VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
@@ -43,6 +42,10 @@ def axes(**changes) -> list[XimcAxis]:
     pan = XimcAxis(name="pan", port="a", serial="12345", **words)
     words |= {"steps_per_deg": -words["steps_per_deg"], "zero_deg": 1.0}
     return [pan, XimcAxis(name="tilt", port="b", serial="12346", **words)]
+
+
+def sealed(data: bytes) -> bytes:
+    return data + struct.pack("<H", crc16(data))
 
 
 class Bench:
@@ -76,7 +79,7 @@ class Bench:
     def set_borders(self, number: int, flags: int, lowest: int, highest: int) -> bytes:
         """Set the limits of travel, in steps. Bit 0 of the flags: counts are the limits, not switches."""
         data = struct.pack("<BBihih6x", flags, 0, lowest, 0, highest, 0)
-        self.controllers[number].receive(b"seds" + data + mutated.crc16(data))
+        self.controllers[number].receive(b"seds" + sealed(data))
         return data
 
     def busy(self) -> bool:
@@ -85,7 +88,7 @@ class Bench:
     def answer(self, number: int, command: bytes, data: bytes) -> None:
         """Let one command of a controller have another answer: data with their CRC, or an error's four letters."""
         line = self.lines[number]
-        answer = data if data.startswith(b"err") else command + data + mutated.crc16(data)
+        answer = data if data.startswith(b"err") else command + sealed(data)
         line.spoil = lambda reply: answer if line.sent[-1].startswith(command) else reply
 
 
