@@ -1,6 +1,6 @@
 """Simulated controllers with one thing wrong each, by name: the replies of one are changed, always in the same way.
 
-The first 13 are those that the maker's own client was tried against.
+The first 13 of Zaber's and the first 6 of XIMC's are those the makers' own clients were tried against.
 """
 
 from __future__ import annotations
@@ -86,4 +86,45 @@ ZABER: Final[dict[str, Change]] = {
     "always idle": put(4, lambda _word: "IDLE"),
     "never idle": put(4, lambda _word: "BUSY"),
     "echo": lambda answer: b"/1 1 00 get pos:2C\n" + answer,
+}
+
+
+# ---------------------------------------------------------------- XIMC: four letters, data, CRC
+def crc16(data: bytes) -> bytes:
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return crc.to_bytes(2, "little")
+
+
+def with_data(change: Change) -> Change:
+    """Change replies that carry data; bare echoes of a command stay."""
+    return lambda answer: change(answer) if len(answer) > 4 else answer
+
+
+def command_state(change: Callable[[int], int]) -> Change:
+    """Change the byte of a status that says whether a command is being carried out, and seal it anew."""
+
+    def changed(answer: bytes) -> bytes:
+        if answer[:4] != b"gets":
+            return answer
+        data = bytearray(answer[4:-2])
+        data[1] = change(data[1])
+        return b"gets" + data + crc16(data)
+
+    return changed
+
+
+XIMC: Final[dict[str, Change]] = {
+    "CRC over the wrong span": with_data(lambda answer: answer[:-2] + crc16(answer[:-2])),
+    "CRC bytes swapped": with_data(lambda answer: answer[:-2] + answer[:-3:-1]),
+    "wrong letters": lambda answer: b"x" + answer[1:] if answer.strip(b"\0") else answer,
+    "short reply": with_data(lambda answer: answer[:-1]),
+    "a byte too many": with_data(lambda answer: answer + b"\x07"),
+    "never idle": command_state(lambda state: state | 0x80),
+    "always idle": command_state(lambda state: state & ~0x80),
+    "echo": lambda answer: b"gets" + answer if answer.strip(b"\0") else answer,
+    "a zero too many": with_data(lambda answer: answer + b"\0"),
 }

@@ -7,7 +7,7 @@ import pytest
 from drivers.errors import MoveFailed, MoveTimeout, ReplyError
 from drivers.stage import Stage
 from tests.hil.direct_stages import rig_of
-from tests.hil.mutated import ZABER, Mutated
+from tests.hil.mutated import XIMC, ZABER, Mutated
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -22,11 +22,13 @@ def use(stage: Stage) -> None:
     stage.move_to({"pan": -9.0})
 
 
-@pytest.mark.parametrize("name", ZABER)
-def test_a_controller_with_one_thing_wrong_is_refused_in_bounded_time(name) -> None:
-    rig = rig_of("zaber")
+@pytest.mark.parametrize(
+    ("family", "name"), [*(("zaber", name) for name in ZABER), *(("ximc", name) for name in XIMC)]
+)
+def test_a_controller_with_one_thing_wrong_is_refused_in_bounded_time(family, name) -> None:
+    rig = rig_of(family)
     clock = rig.line.clock
-    rig.line.device = Mutated(rig.line.device, ZABER[name])
+    rig.line.device = Mutated(rig.line.device, {"zaber": ZABER, "ximc": XIMC}[family][name])
     standing_deg = rig.present_deg()
     began_s = clock.now_s
     with pytest.raises((ReplyError, MoveFailed, MoveTimeout)):

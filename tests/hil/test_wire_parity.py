@@ -16,6 +16,8 @@ from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
+from drivers.stage.ximc import XimcAxis, XimcStage
+from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
@@ -73,6 +75,59 @@ def ours(stage: Stage, tap: Tap, split: Callable[[bytes], set]) -> dict[str, set
             act()
             sent_for[name] = split(tap.take())
     return sent_for
+
+
+def zaber_requests(data: bytes) -> set[bytes]:
+    """Requests without ids and checksums."""
+    return {re.sub(rb"^(/\d \d) \d\d", rb"\1", text)[:-3] for text in data.split(b"\n") if text}
+
+
+def test_zaber_requests_are_those_of_zaber_motion(tmp_path) -> None:
+    ascii_ = pytest.importorskip("zaber_motion.ascii", reason="the maker's client is not installed")
+    from zaber_motion import Library
+
+    Library.enable_device_db_store(str(tmp_path))
+    with line(of_bench("zaber", 6400)(time.monotonic)[0], tmp_path) as (address, tap):
+        axis = ZaberAxis(name="pan", device=1, serial="", microsteps_per_deg=6400, limits=LIMITS)
+        sent_for = ours(ZaberStage.open(address, [axis], clock=SystemClock()), tap, zaber_requests)
+        with ascii_.Connection.open_serial_port(address) as connection:
+            theirs = connection.get_device(1).get_axis(1)
+            for name, act, request in (
+                ("home", theirs.home, b"/1 1 home"),
+                ("move", lambda: theirs.move_absolute(32000), b"/1 1 move abs 32000"),
+                ("position", theirs.get_position, b"/1 1 get pos"),
+                ("stop", connection.stop_all, b"/0 0 stop"),
+            ):
+                tap.take()
+                act()
+                assert request in zaber_requests(tap.take())
+                assert request in sent_for[name]
+
+
+def ximc_requests(data: bytes) -> set[bytes]:
+    """Motion commands and questions, with their data and checksums."""
+    return set(re.findall(rb"move.{14}|home|sstp|gets|gpos|zero", data, re.DOTALL))
+
+
+def test_ximc_requests_are_those_of_libximc(tmp_path) -> None:
+    ximc = pytest.importorskip("libximc.highlevel", reason="the maker's library is not installed")
+    with line(of_bench("ximc", 25_600, "4242")(time.monotonic)[0], tmp_path) as (address, tap):
+        axis = XimcAxis(name="pan", port=address, serial="", steps_per_deg=100.0, limits=LIMITS)
+        sent_for = ours(XimcStage.open([axis], clock=SystemClock()), tap, ximc_requests)
+        theirs = ximc.Axis(f"xi-com://{address}")
+        theirs.open_device()
+        for name, act in {
+            "home": lambda: (theirs.command_home(), theirs.command_wait_for_stop(10), theirs.command_zero()),
+            "move": lambda: (theirs.command_move(500, 0), theirs.command_wait_for_stop(10)),
+            "position": theirs.get_status,
+            "stop": theirs.command_sstp,
+        }.items():
+            tap.take()
+            act()
+            sent = ximc_requests(tap.take())
+            assert sent
+            assert sent <= sent_for[name]
+        theirs.close_device()
 
 
 def esp_requests(data: bytes) -> set[tuple[bytes, float | None]]:
