@@ -6,6 +6,7 @@ import pytest
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.raw_file import RawFile
+from drivers.errors import RecordingCorrupt
 from simulators.pixels.evt3_writer import Evt3Writer
 
 evt3 = pytest.importorskip("evt3", reason="the PyPI package evt3 is not built for this platform")
@@ -121,6 +122,28 @@ def test_words_taken_out_of_the_real_recording_are_missed(evk4_recording, tmp_pa
     assert scan.mismatched_windows == 17
 
 
+def test_a_damaged_real_recording_never_gives_events_outside_the_sensor(evk4_recording, tmp_path):
+    whole = evk4_recording.read_bytes()[:40_000]
+    rng = np.random.default_rng(5)
+    path = tmp_path / "damaged.raw"
+    refused_at = []
+    for _ in range(200):
+        data = bytearray(whole)
+        for place in rng.integers(300, len(data), 3):
+            data[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(data)
+        try:
+            events, _ = RawFile.open(path).read()
+        except RecordingCorrupt as error:
+            refused_at.append(error.offset)
+        else:
+            assert events.x.max() < 1280
+            assert events.y.max() < 720
+            assert abs(int(events.t[0]) - 14_224_870) < 1 << 24
+    assert 50 < len(refused_at) < 200
+    assert all(300 <= offset < len(whole) for offset in refused_at)
+
+
 def test_a_recording_converted_from_events_is_read_alike(evk4_recording, tmp_path):
     """Out of the recording, through a file of arrays, and back into words that we made ourselves."""
     source = evk4_recording
@@ -152,7 +175,7 @@ def test_whole_windows_lost_are_counted_and_their_events_said_to_be_at_least(
     assert scan.missing_windows == reports
     assert scan.lost_events <= lost
     messages = " ".join(scan.loss_messages())
-    assert f"{reports} event count reports" in messages
+    assert f"{reports} event count reports of the sensor are missing" in messages
     assert f"at least {scan.lost_events} events" in messages
 
 

@@ -10,16 +10,22 @@ from opencv_planar import NO_TANGENTIAL, RADIAL_2, by_opencv
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
-from calib.errors import InputMismatch
+from calib.errors import CalibrationError, InputMismatch
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.rotation import exp_map
 from calib.view import View
+from tests.benchmarks.compared.reference_methods import opencv_planar
 
 SIZE = (1280, 720)
 BOARD = Board("checkerboard", 9, 6, 25.0)
 TRUE = {"k1": -0.21, "k2": 0.13, "p1": 8e-4, "p2": -6e-4, "k3": -0.04, "skew": 1.7}
 TURNS_DEG = ((0, 0, 5), (25, 5, 0), (-24, 8, 20), (4, 27, 50), (6, -26, 80), (-18, -17, -30), (17, -15, 10))
-OPTIONS = {"k1k2": RADIAL_2 | NO_TANGENTIAL, "k1k2k3": NO_TANGENTIAL, "k1k2p1p2": RADIAL_2, "k1k2k3p1p2": 0}
+OPTIONS = {
+    "k1k2": RADIAL_2 | NO_TANGENTIAL,
+    "k1k2k3": NO_TANGENTIAL,
+    "k1k2p1p2": RADIAL_2,
+    "k1k2k3p1p2": 0,
+}
 
 
 @cache
@@ -87,11 +93,28 @@ def test_an_unknown_lens_is_refused(text):
         distortion_names(text)
 
 
+def test_opencv_cannot_be_compared_with_skew():
+    with pytest.raises(CalibrationError, match="no skew"):
+        opencv_planar(views("k1k2skew")[0], CalibrationOptions("planar", "k1k2skew"))
+
+
+def test_skew_is_that_of_gtsam():
+    """GTSAM's Cal3DS2 has fx fy s u0 v0 k1 k2 p1 p2, with K = [[fx, s, u0], [0, fy, v0], [0, 0, 1]] as MATLAB."""
+    gtsam = pytest.importorskip("gtsam")
+    camera = CameraModel(
+        1105.0, 1102.0, 633.0, 352.0, SIZE, {"k1": -0.21, "k2": 0.13, "p1": 8e-4, "p2": -6e-4, "skew": 1.7}
+    )
+    theirs = gtsam.Cal3DS2(1105.0, 1102.0, 1.7, 633.0, 352.0, -0.21, 0.13, 8e-4, -6e-4)
+    for x, y in np.random.default_rng(1).uniform(-0.5, 0.5, (20, 2)):
+        (pixel,) = camera.project(np.array([[x, y, 1.0]]))
+        np.testing.assert_allclose(pixel, theirs.uncalibrate(np.array([x, y])), atol=1e-9)
+
+
 def test_views_that_a_lens_with_too_few_coefficients_fits_badly_say_which_may_help():
     shown, _ = views("k1k2k3p1p2", 0.01)
     fine = [replace(view, covariances_px2=1e-4 * np.tile(np.eye(2), (54, 1, 1))) for view in shown]
     (note,) = calibrate(fine, CalibrationOptions("planar", "k1k2")).notes
-    assert "(such as k1k2k3p1p2 or fisheye)" in note
+    assert "The lens may need other coefficients (such as k1k2k3p1p2 or fisheye)" in note
     assert calibrate(fine, CalibrationOptions("planar", "k1k2k3p1p2")).notes == ()
 
 
@@ -101,5 +124,8 @@ def test_a_board_says_that_it_does_not_choose_a_lens():
         CalibrationOptions("planar", "auto").unused
         in calibrate(shown, CalibrationOptions("planar", "auto")).notes
     )
-    assert "lens model (auto)" in CalibrationOptions("planar", "auto").unused
+    assert (
+        "the choice of a lens model (auto); name the coefficients"
+        in CalibrationOptions("planar", "auto").unused
+    )
     assert CalibrationOptions("joint", "auto").unused == ""

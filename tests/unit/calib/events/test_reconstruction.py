@@ -57,6 +57,22 @@ def test_pictures_of_a_stream_do_not_depend_on_its_pieces(pieces):
     np.testing.assert_allclose(pictures[0].image, expected, atol=1e-5)
 
 
+def test_the_filter_is_that_of_dv_processing():
+    dv = pytest.importorskip("dv_processing")
+    t, x, y, p = random_events()
+    tau_us = 25_000.0
+    other = dv.Accumulator(SIZE, dv.Accumulator.Decay.EXPONENTIAL, tau_us, True, 1.0, 1e6, 0.0, -1e6, False)
+    store = dv.EventStore()
+    for event in zip(t.tolist(), x.tolist(), y.tolist(), (p == 1).tolist(), strict=True):
+        store.push_back(*event)
+    other.accept(store)
+    other.generateFrame()
+    filtered = HighPassFilter(SIZE, 1e6 / (2 * math.pi * tau_us))
+    filtered.add((t, x, y, p))
+    off, on = filtered.sums_at(float(t[-1]))
+    np.testing.assert_allclose(on - off, other.getPotentialSurface(), atol=2e-4)
+
+
 def moving_edge(speed_px_s=400.0):
     """A bright half plane that enters from the left: three ON events where its edge passes, in each row."""
     columns = np.arange(SIZE[0])

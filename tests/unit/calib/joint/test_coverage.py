@@ -32,6 +32,14 @@ class Drawn:
         return self.result.estimates[:4] - [true.fx, true.fy, true.cx, true.cy]
 
     @property
+    def expanded(self):
+        """U of fx, fy, cx, cy."""
+        result = self.result
+        return np.array(
+            [result.sigma[name] * result.coverage_factors[name] for name in ("fx", "fy", "cx", "cy")]
+        )
+
+    @property
     def true_camera(self):
         true = self.truth.camera
         lens = {name: getattr(true, name) for name in ("k1", "k2", "p1", "p2", "k3")}
@@ -63,6 +71,16 @@ def drawn(seed, profile):
 @pytest.fixture(scope="module")
 def benches():
     return [drawn(seed, ("like-bench", "ideal")[seed % 2]) for seed in range(BENCHES)]
+
+
+@pytest.mark.slow
+def test_errors_of_the_camera_lie_within_u_and_fill_it(benches):
+    over = np.array([bench.errors / bench.expanded for bench in benches])
+    assert (np.abs(over) < 1.6).all()
+    assert np.mean(np.abs(over) < 1.0) > 0.85
+    rms = np.sqrt((4.0 * over**2).mean(axis=0))
+    assert (rms > 0.5).all()
+    assert (rms < 1.4).all()
 
 
 @pytest.mark.slow

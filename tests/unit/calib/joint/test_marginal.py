@@ -12,6 +12,7 @@ from calib.errors import InputMismatch
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.amplitudes import UNIT_TURN
+from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.effects.by_turn import ByTurn, Parallax
 from calib.joint.effects.effect import Turned
@@ -272,6 +273,14 @@ def test_a_pupil_before_the_pivot_moves_across_the_beam_as_the_camera_turns(benc
     moves = maps @ share
     shift = r_mm * moves[:, layout.pose.shifts]
     assert shift == pytest.approx(-0.1 * 10.0 * turned[:, 2, :2], abs=1e-9)
+
+
+def test_parts_of_the_budget_add_up_to_the_variance(optimum):
+    mixture = posterior(modes_of(optimum), 30)
+    at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
+    parts = variances(mixture, np.eye(len(mixture.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(mixture.covariance)[at], rel=1e-6)
+    assert all((part >= 0).all() for part in parts.values())
 
 
 def test_two_optima_are_compared_with_the_same_weights_of_the_stars(views, optimum):

@@ -15,6 +15,7 @@ from calib.model import cause as kinds
 from calib.model.gimbal_readings import AXES, GimbalReadings, ParallaxBound
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
+from tests.benchmarks.worlds.recordings import read
 from tests.unit.calib.conftest import TARGET, Bench
 
 POSES = (
@@ -171,6 +172,13 @@ def test_a_certificate_is_not_blamed_for_a_shifted_view():
         calibrate(views, options_for(drawn, "cr"))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("chosen", [(1, 5, 9), pytest.param((0, 3, 7, 11, 15, 19), marks=pytest.mark.slow)])
+def test_real_aberrations_are_not_taken_for_shifted_ids(collimator_recordings, chosen):
+    views = read(collimator_recordings)
+    assert doubts([views[i] for i in chosen]) == []
+
+
 def moved(view, by):
     return replace(view, points_px=view.points_px + by)
 
@@ -197,3 +205,10 @@ def test_an_offset_that_noise_could_explain_is_not_named(noise_px, named):
     for place in (1, 4):
         views[place] = moved(views[place], 0.5)
     assert bool(doubts(views)) == named
+
+
+@pytest.mark.slow
+@settings(max_examples=2, deadline=None)
+@given(seed=st.integers(0, 999), count=st.integers(2, 8))
+def test_views_of_one_origin_are_not_doubted(seed, count):
+    assert doubts([moved(view, 0.5) for view in bench(seed, count=count)]) == []

@@ -32,6 +32,13 @@ def test_columns_and_metadata_hold_what_was_recorded(raw, tmp_path, monkeypatch)
     assert same([np.array(edges[name]) for name in Triggers._fields], triggers)
 
 
+def test_pandas_reads_the_file(raw, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    convert(raw, tmp_path / "pose.parquet", "parquet")
+    frame = pandas.read_parquet(tmp_path / "pose.parquet")
+    assert same([frame[name].to_numpy() for name in "txyp"], drawn_stream()[0])
+
+
 def test_more_edges_than_metadata_should_hold_are_refused(raw, tmp_path, monkeypatch):
     monkeypatch.setattr(parquet_export, "MOST_EDGES", 39)
     with pytest.raises(RecordingFileError, match="39 trigger edges; here are 40"):
@@ -43,4 +50,4 @@ def test_without_pyarrow_the_remedy_is_named(raw, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(CameraSoftwareMissing) as caught:
         convert(raw, tmp_path / "pose.parquet", "parquet")
-    assert "'starbench[table]'" in caught.value.remedy
+    assert caught.value.remedy == "Install it: pip install 'starbench[table]'"
