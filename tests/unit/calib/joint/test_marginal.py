@@ -139,7 +139,9 @@ def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(op
     expected = innovation.statement.rows @ (optimum.state.shared + solution.step)
     sigma = np.sqrt(innovation.statement.rows @ solution.covariance @ innovation.statement.rows.T)
     assert innovation.expected == pytest.approx(expected, rel=1e-4, abs=0.02 * sigma[0, 0])
-    assert innovation.sigma[0] == pytest.approx(sigma[0, 0], rel=0.02)
+    # Only a certificate has amplitudes of its own: others are compared at those of all statements.
+    near = 0.02 if name == CERTIFICATE else 0.05
+    assert innovation.sigma[0] == pytest.approx(sigma[0, 0], rel=near)
     normalised = (innovation.statement.values - expected) / np.sqrt(
         sigma[0, 0] ** 2 + innovation.statement.covariance[0, 0]
     )
