@@ -23,7 +23,7 @@ from bench.base.pasteable import pasteable
 
 _BAR_WIDTH, _LEAST_BAR = 24, 8  # Columns, and the fewest of a bar
 _WITHOUT_TIME_LEFT = frozenset({"aborting", "aborted", "failed", "finished"})
-"""States that show no time left: nothing more of the plan is done."""
+"""In these states no step of the plan follows, so no time left is shown."""
 _POLL_S = 0.2  # A line that changes more often flickers
 _YES = {"c", "continue", "y", "yes"}
 _NO = {"a", "abort", "n", "no"}

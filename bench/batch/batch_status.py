@@ -189,13 +189,12 @@ def batch_status_text(status: BatchStatus) -> str:
         lines.append(resume_process(suspended))
     elif status.end is not None and status.running:
         lines.append(f"Expected end: {_clock(status.end, status.zone, day=True)}")
-    if status.running or status.ended == "finished":
-        pass
-    elif status.rehearsal:
+    broken_off = not status.running and status.ended != "finished"
+    if broken_off and status.rehearsal:
         lines.append("A rehearsal cannot be continued.")
-    elif status.ended == "failed":
+    elif broken_off and status.ended == "failed":
         lines += to_go_on(Path(status.folder), (run.item for run in status.done if run.how != "finished"))
-    else:
+    elif broken_off:
         again = pasteable("batch", status.file or "QUEUE", "--output", status.folder)
         lines.append(f"No process works on it. To continue: {again}")
     return "\n".join(lines)

@@ -48,7 +48,7 @@ class _Pose(NamedTuple):
     """What the accepted recording of a pose showed; None if it is not known."""
 
     stars: int | None  # None where silent lines cost stars: a note of the run tells these
-    off_events: float | None  # Of a falling edge of the light, by the pixels that follow it
+    off_events: float | None  # Events at one falling edge of the light, of the pixels that follow the light
     on_delay_us: float | None  # Of the first ON events after a square light rises
     duty: float | None  # By the edges of the sync signal, as a share of the period
 
@@ -244,12 +244,12 @@ def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterato
     expected = job.station.expected
     if expected is None:
         return
-    stars = expected_stars(job, calibration)
-    seen_stars = [pose.stars for pose in seen.poses.values() if pose.stars]
-    counted = (statistics.median(seen_stars), stars) if stars and seen_stars else None
+    wanted = expected_stars(job, calibration)
+    counts = [pose.stars for pose in seen.poses.values() if pose.stars]
+    stars = (statistics.median(counts), wanted) if counts and wanted else None
     noise = calibration.rms_px / math.sqrt(2.0), max(expected.star_sigma_px, expected.collimator.rms_px)
     weak = [
-        *_weak(kinds.FEWER, counted, _EXPECTED_STARS, "stars"),
+        *_weak(kinds.FEWER, stars, _EXPECTED_STARS, "stars"),
         *_weak(kinds.NOISIER, noise, _EXPECTED_NOISE, "px"),
     ]
     yield from weak[:1]

@@ -165,9 +165,8 @@ class HandEyeCheck:
         kind, *beside = likely
         if kind != kinds.BIASED:
             size = self.excess_arcsec / 3600.0
-            yield Cause(
-                kind, min(evidence[kind], LARGEST_EVIDENCE), size, unit="degrees", beside=tuple(beside)
-            )
+            worth = min(evidence[kind], LARGEST_EVIDENCE)
+            yield Cause(kind, worth, size, unit="degrees", beside=tuple(beside))
 
     def _ratios(self) -> str:
         """Return what each axis and the pairs of poses show, in words."""

@@ -27,7 +27,7 @@ class AddedColumns:
 
     @classmethod
     def of(cls, optimum: Optimum, columns: Array) -> AddedColumns:
-        """Return the gains at an optimum by (m, B, K) displacements of the views' bases.
+        """Return what K hypotheses gain at an optimum: each displaces the views, (m, B, K) sizes of their bases.
 
         Columns that join a linear model whose posterior is known (Searle, 1971): their own information, less what the
         own fields and the shared unknowns take up.
@@ -58,7 +58,7 @@ class AddedColumns:
 
 
 def displaced(optimum: Optimum, basis: Array, eta: Array) -> Optimum:
-    """Return an optimum after linear (m, B) displacements of the views' bases.
+    """Return an optimum whose views are displaced: (m, B) sizes of each view's basis, all linear.
 
     Its best amplitudes are searched from (A,) logarithms ``eta``.
     """

@@ -101,8 +101,7 @@ def _of_gimbal(result: Calibration, posterior: Posterior, stated: CalibrationOpt
     except CalibrationError:  # too few poses, or axes that did not move
         return ()
     # What is more probably errors of the collimator accuses nobody, unless the readings contradict the stars.
-    contradict = result.gimbal is not None and not result.gimbal.entered
-    accused = contradict or not check.is_smooth
+    accused = not check.is_smooth or (result.gimbal is not None and not result.gimbal.entered)
     causes = [cause for cause in check.causes if accused or kinds.BIASED not in cause.beside]
     # How many times more than stated readings scatter, and with what weight they entered, stays to be said.
     return tuple(replace(cause, explains=_OF_GIMBAL[cause.kind == kinds.SCATTERED :]) for cause in causes)

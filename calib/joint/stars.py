@@ -1,4 +1,4 @@
-"""The stars of all views as the search reads them, one view behind the other, and how much each of them counts."""
+"""The stars of all views in common arrays, and the weight of each star."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Stars:
 
     @cached_property
     def _at_rim(self) -> Array:
-        """(N,) rho^12, rho in radii of the disc; 0 without one."""
+        """(N,) rho^12: rho is how far a star is from the middle of the disc, in its radii. 0 if no disc is visible."""
         if not self.discs:
             return np.zeros(len(self.views))
         around = self.around_discs

@@ -56,7 +56,7 @@ class CameraControl:
 
     @property
     def values(self) -> Mapping[str, float | None]:
-        """Biases, as offsets from the factory values, or exposure and gain, as read back; empty if there are none."""
+        """What was read back: biases, offsets from the factory values; of a frame camera, exposure and gain."""
         if self.is_event:
             biases = self.settings.get("biases", {})
             return {name: value for name, value in biases.items() if name in self._ranges}

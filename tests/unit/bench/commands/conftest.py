@@ -1,4 +1,4 @@
-"""Commands called in a folder of their own, with what they print."""
+"""Fixtures that run a command in a folder of its own, and give what it prints."""
 
 import pytest
 from calling import ended
