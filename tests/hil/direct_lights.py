@@ -14,13 +14,11 @@ from drivers.light.scpi import ScpiLight
 from drivers.light.text import TextLight
 from simulators.assembly import make_light
 from simulators.config import LightConfig
-from simulators.faults.catalogue import fault_order_from_text
-from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.driver import LightDriver
 from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState
-from tests.hil.direct_stages import DirectLine, VirtualClock
+from tests.hil.direct_stages import DirectLine, VirtualClock, order_fault
 
 
 @dataclass
@@ -36,17 +34,7 @@ class DirectLight:
 
     def order(self, text: str) -> None:
         """Let something go wrong, as it is ordered on a bench."""
-        parts = BenchParts(
-            axes={},
-            ports={"light": self.line},
-            lines={"light": self.line.device},
-            axis_ports={},
-            light=self.driver,
-            lamp=self.lamp,
-            camera=None,
-            clock=self.line.clock.monotonic,
-        )
-        fault_action(fault_order_from_text(f"light {text}"), parts)()
+        order_fault("light", self.line, f"light {text}", {}, self.driver, self.lamp)
 
 
 MICROCONTROLLER = read_light_protocol(find_description("microcontroller_light", None)).value.for_driver()

@@ -89,6 +89,16 @@ class DirectLine:
         data, self.ready = self.ready, b""
         return data
 
+    def error_of(self, act: Callable[[], object], longest_s: float) -> DriverError | None:
+        """Return the error of a driver that an act ends in, if any; it must come within this time."""
+        began_s, error = self.clock.now_s, None
+        try:
+            act()
+        except DriverError as caught:
+            error = caught
+        assert self.clock.now_s - began_s < longest_s
+        return error
+
     def lose_step(self, ask: Callable[[], object]) -> None:
         """Lose the reply to a question, so that the driver must bring the line into step; forget what was sent."""
         self.spoil, whole = lambda _reply: b"", self.spoil
@@ -143,6 +153,16 @@ class DirectLine:
         self.closed = True
 
 
+def order_fault(
+    port: str, line: DirectLine, text: str, axes: Mapping[str, AxisController], light=None, lamp=None
+) -> None:
+    """Let something go wrong at a port of a bench, or at a device on it, by the text of an order."""
+    parts = BenchParts(
+        axes, {port: line}, {port: line.device}, dict.fromkeys(axes, port), light, lamp, None, line.clock.monotonic
+    )  # fmt: skip
+    fault_action(fault_order_from_text(text), parts)()
+
+
 def direct_line(device: Dialect, clock: VirtualClock) -> DirectLine:
     """Plug a simulated device into a line of faults without faults yet."""
     return DirectLine(FaultLine(device, clock.monotonic, np.random.default_rng(1)), clock)
@@ -174,18 +194,7 @@ class DirectStage:
 
     def order(self, text: str) -> None:
         """Let something go wrong, as it is ordered on a bench; the axis is called pan, its line gimbal."""
-        line = self.line.device
-        parts = BenchParts(
-            axes={"pan": self.controller},
-            ports={"gimbal": self.line},
-            lines={"gimbal": line},
-            axis_ports={"pan": "gimbal"},
-            light=None,
-            lamp=None,
-            camera=None,
-            clock=self.line.clock.monotonic,
-        )
-        fault_action(fault_order_from_text(text), parts)()
+        order_fault("gimbal", self.line, text, {"pan": self.controller})
 
     def present_deg(self) -> float:
         """Where the axis points now."""
@@ -194,6 +203,22 @@ class DirectStage:
     def true_deg(self) -> float:
         """Where the axis really points, once it has settled."""
         return self.controller.axis.pointing.angle_deg(self.line.clock.now_s + 1.0)
+
+    def see_it_home_and_move(self, stage: Stage, *angles_deg: float, off_deg: float = 0.0) -> None:
+        """Home the stage and move it: it tells where it stands, the axis points there, and nothing is a fault."""
+        stage.home()
+        for angle_deg in angles_deg or (5.0,):
+            stage.move_to({"pan": angle_deg})
+            assert stage.position_deg()["pan"] == pytest.approx(angle_deg, abs=0.002)
+            assert self.true_deg() == pytest.approx(angle_deg + off_deg, abs=0.002)
+        assert stage.faults() == []
+
+    def see_it_stand(self, seconds: float = 5.0) -> float:
+        """See that the axis stands still for so long; return where, in degrees."""
+        stands_deg = self.true_deg()
+        self.line.clock.sleep(seconds)
+        assert self.true_deg() == pytest.approx(stands_deg, abs=1e-3)
+        return stands_deg
 
 
 def stop_in_mid_move(

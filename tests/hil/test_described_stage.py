@@ -93,11 +93,7 @@ def test_a_station_that_contradicts_the_device_is_refused(rig, changes, fault) -
 
 
 def test_a_reversed_axis_turns_the_other_way(rig) -> None:
-    stage = again(rig, axis(counts_per_deg=-800.0))
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert stage.position_deg()["pan"] == pytest.approx(5.0)
-    assert rig.true_deg() == pytest.approx(-5.0, abs=0.002)
+    rig.see_it_home_and_move(again(rig, axis(counts_per_deg=-800.0)), 5.0, off_deg=-10.0)
 
 
 def test_a_refusal_says_what_the_device_said_and_an_unknown_setting_is_one(rig) -> None:
@@ -138,11 +134,7 @@ def test_an_echo_in_a_line_of_its_own_and_a_line_feed_after_an_echo_are_no_repli
         return echo.replace(b"%s", request) + rest if star else reply
 
     rig.line.spoil = lambda reply: b"".join(map(echoed, reply.splitlines(keepends=True)))
-    stage = again(rig, axis())
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert stage.position_deg()["pan"] == pytest.approx(5.0)
-    assert stage.faults() == []
+    rig.see_it_home_and_move(again(rig, axis()))
 
 
 @pytest.mark.parametrize(
@@ -156,10 +148,7 @@ def test_more_or_less_of_a_line_end_than_described_is_no_reply(rig, described, s
     rig.line.spoil = lambda reply: reply.replace(b"\r\n", sent)
     rig.line.sent.clear()
     ends = replace(FLIR_PTU, line=replace(FLIR_PTU.line, reply_end=described))
-    stage = again(rig, axis(), ends)
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert stage.position_deg()["pan"] == pytest.approx(5.0)
+    rig.see_it_home_and_move(again(rig, axis(), ends))
     assert rig.line.sent.count(b"V ") == 1  # nothing brought the line out of step
 
 

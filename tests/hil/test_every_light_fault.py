@@ -34,14 +34,7 @@ def rig(request) -> DirectLight:
 
 def tried(rig: DirectLight, act) -> DriverError | None:
     """Return the error that an act ends in, if any; it must come in time."""
-    began_s = rig.line.clock.now_s
-    error = None
-    try:
-        act()
-    except DriverError as caught:
-        error = caught
-    assert rig.line.clock.now_s - began_s < LONGEST_S
-    return error
+    return rig.line.error_of(act, LONGEST_S)
 
 
 def test_every_fault_of_the_catalogue_is_spoken_of_here() -> None:

@@ -63,13 +63,13 @@ def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
     assert "Traceback" not in ended.stderr + ended.stdout, ended.stderr
     assert ended.returncode in {0, 1}, ended.stderr
     if ended.returncode == 0:  # what failed did not matter
-        assert starbench("verify", folder, home=home).returncode == 0
+        starbench("verify", folder, home=home)
         return
     assert "Input/output error" in ended.stderr
     assert "CHECK THE BENCH" not in ended.stderr
     recorded = stored(folder)
     assert hashes(folder, recorded) == recorded
-    resumed = starbench("resume", folder, home=home)
+    resumed = starbench("resume", folder, home=home, status=None)
     if not journal(folder):  # it failed before its first line
         assert resumed.returncode == 2  # it is no run folder
         assert "Traceback" not in resumed.stderr
@@ -77,4 +77,4 @@ def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
     assert resumed.returncode == 0, ended.stderr + resumed.stderr
     assert recorded.items() <= stored(folder).items()
     assert hashes(folder, recorded) == recorded
-    assert starbench("verify", folder, home=home).returncode == 0
+    starbench("verify", folder, home=home)

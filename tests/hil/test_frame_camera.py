@@ -30,8 +30,7 @@ STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
 def finished(tmp_path_factory):
     def make(folder):
         words = ("run", "three_pose", "-s", "simulated_frames", "--seed", 7, "-o", folder / "run")
-        ended = called(*words, home=folder / "home")
-        assert ended.returncode == 0, ended.stderr
+        called(*words, home=folder / "home")
 
     return shared_folder(tmp_path_factory, "frames", make) / "run"
 
@@ -77,8 +76,7 @@ def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(fini
 
 @pytest.mark.slow
 def test_its_results_follow_from_its_pictures(finished, home):
-    verified = called("verify", finished, "--again", home=finished.with_name("home"))
-    assert verified.returncode == 0, verified.stdout + verified.stderr
+    called("verify", finished, "--again", home=finished.with_name("home"))
     again = starbench("calibrate", finished, "--json", home=home)
     assert json.loads(again.stdout)["camera"] == results(finished)["calibration"]["camera"]
 
@@ -96,8 +94,7 @@ def test_pictures_of_a_run_played_again_give_the_same_camera(finished, home, tmp
     played = station.replace(camera, f"driver: pictures\n  path: {tmp_path / 'pictures'}")
     (tmp_path / "played.yaml").write_text(played)
     folder = tmp_path / "again"
-    ended = starbench("run", "three_pose", "-s", tmp_path / "played.yaml", "-o", folder, home=home)
-    assert ended.returncode == 0, ended.stderr
+    starbench("run", "three_pose", "-s", tmp_path / "played.yaml", "-o", folder, home=home)
     assert results(folder)["calibration"]["camera"] == results(finished)["calibration"]["camera"]
     assert results(folder)["run"]["simulated"]
 

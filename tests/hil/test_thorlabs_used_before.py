@@ -55,24 +55,13 @@ def test_a_zero_does_not_depend_on_who_was_connected_before(rig, left, when) -> 
         rig.line.clock.sleep(2.0)
     else:
         rig.controller.receive(home_message(rig, **left))
-    stage = rig.reopen() if when == "before opening" else rig.stage
-    stage.home()
-    stage.move_to({"pan": 10.0})
-    assert stage.faults() == []
-    assert rig.true_deg() == pytest.approx(10.0, abs=0.002)
+    rig.see_it_home_and_move(rig.reopen() if when == "before opening" else rig.stage, 10.0)
 
 
 def test_the_station_says_where_a_zero_is(rig) -> None:
     scale = rig.controller.model.mechanics.counts_per_deg
-    axis = ThorlabsAxis(
-        name="pan",
-        port="",
-        counts_per_deg=scale,
-        limits=LIMITS,
-        home_offset_deg=1.0,
-        home_direction="forward",
-        home_speed_deg_s=3.0,
-    )
+    homing = {"home_offset_deg": 1.0, "home_direction": "forward", "home_speed_deg_s": 3.0}
+    axis = ThorlabsAxis(name="pan", port="", counts_per_deg=scale, limits=LIMITS, **homing)
     stage = ThorlabsStage([rig.line], [axis], clock=rig.line.clock)
     _, direction, switch, speed, offset = apt.HOME_LAYOUT.unpack(
         rig.controller.receive(apt.short(apt.REQUEST_HOME, 1))[6:]
@@ -80,9 +69,7 @@ def test_the_station_says_where_a_zero_is(rig) -> None:
     factor = apt.FAMILIES[rig.controller.model.name or "K10CR1"].speed_factor
     assert (direction, switch, offset) == (1, 4, round(scale))
     assert speed == pytest.approx(3.0 * scale * factor, abs=1)
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert rig.true_deg() == pytest.approx(5.0 + 1.0 - 4.0 + 1.5, abs=0.002)
+    rig.see_it_home_and_move(stage, off_deg=1.0 - 4.0 + 1.5)
 
 
 def test_a_zero_of_an_unknown_stage_is_not_guessed() -> None:
@@ -145,10 +132,7 @@ def test_a_controller_that_does_not_tell_its_home_parameters_is_told(rig) -> Non
 
 def test_a_controller_that_rounds_speeds_and_ramps_to_its_own_steps_is_healthy(rig) -> None:
     rig.controller.speed_step = 8
-    stage = rig.reopen()
-    stage.home()
-    stage.move_to({"pan": 5.0})
-    assert stage.faults() == []
+    rig.see_it_home_and_move(rig.reopen())
 
 
 def test_a_speed_that_a_controller_does_not_keep_is_named(rig) -> None:
@@ -190,16 +174,11 @@ def test_what_a_controller_says_against_a_move_is_the_cause_that_is_told(rig, an
     with pytest.raises(MoveFailed, match=cause):
         rig.stage.move_to({"pan": 5.0})
     assert rig.true_deg() == pytest.approx(0.0, abs=1e-6)
-    rig.stage.home()
-    rig.stage.move_to({"pan": 5.0})
-    assert rig.stage.faults() == []
+    rig.see_it_home_and_move(rig.stage)
 
 
 @pytest.mark.parametrize("bits", [0x1011_2000, 0x2000_1000])
 def test_status_bits_of_healthy_controllers_are_no_faults(rig, bits) -> None:
     """As published: power, interlock and digital inputs, tracking, settled, and bits that nobody explains."""
     rig.controller.inputs = bits
-    rig.stage.home()
-    rig.stage.move_to({"pan": 5.0})
-    assert rig.stage.faults() == []
-    assert rig.true_deg() == pytest.approx(5.0, abs=0.002)
+    rig.see_it_home_and_move(rig.stage)

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 import pytest
-from quick_runs import write_sequence, write_station
+from quick_runs import quick_words
 from running import PATIENCE_S, STARBENCH, environment, journal, results
 
 BARE = """
@@ -121,16 +121,12 @@ def test_a_run_goes_over_tcp_from_a_station_that_says_nothing_of_it(bare, tmp_pa
 def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tmp_path) -> None:
     import pty
 
-    folder, sequence = (
-        tmp_path / "run",
-        write_sequence(tmp_path / "sequence.yaml", "[{name: left, pan_deg: -6}]", end=""),
-    )
-    question = 'steps:\n  - prompt: {text: "Is the cap off?", default: continue, timeout_s: 500}\n'
-    sequence.write_text(sequence.read_text().replace("steps:\n", question, 1))
+    folder = tmp_path / "run"
+    question = '  - prompt: {text: "Is the cap off?", default: continue, timeout_s: 500}\n'
+    words = quick_words(tmp_path, "[{name: left, pan_deg: -6}]", first=question, end="")
     ours, theirs = pty.openpty()
-    station = write_station(tmp_path / "station.yaml")
+    station = tmp_path / "station.yaml"
     station.write_text(station.read_text().replace("ports: pty, ", ""))
-    words = ["run", sequence, "-s", station, "--seed", 7, "-o", folder]
     command, pipe = [*STARBENCH, *map(str, words)], subprocess.PIPE
     process = subprocess.Popen(command, env=bare, stdin=theirs, stdout=pipe, stderr=pipe, text=True)
     try:

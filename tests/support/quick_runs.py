@@ -14,7 +14,7 @@ defaults:
   settle: {duration_s: 0.3}
   record: {window_ms: %(window_ms)s, attempts: %(attempts)d, backoff_s: 0.1}
 steps:
-  - light
+%(first)s  - light
   - repeat:
       poses: %(poses)s
       steps: [move, settle, record]
@@ -55,9 +55,19 @@ def write_station(path, more="", simulation=""):
     return path
 
 
-def write_sequence(path, poses=TWELVE, *, attempts=2, window_ms=8.4, end=END):
-    path.write_text(SEQUENCE % {"poses": poses, "attempts": attempts, "window_ms": window_ms, "end": end})
+def write_sequence(path, poses=TWELVE, *, attempts=2, window_ms=8.4, first="", end=END):
+    """A sequence that records poses; ``first`` and ``end`` are the steps before and after them."""
+    words = {"poses": poses, "attempts": attempts, "window_ms": window_ms, "first": first, "end": end}
+    path.write_text(SEQUENCE % words)
     return path
+
+
+def quick_words(folder, poses=TWELVE, *, station="", seed=7, **sequence):
+    """The words of a run of this bench, whose files and results stand in ``folder``."""
+    folder.mkdir(exist_ok=True)
+    poses_file = write_sequence(folder / "sequence.yaml", poses, **sequence)
+    bench = write_station(folder / "station.yaml", station)
+    return "run", poses_file, "-s", bench, "--seed", seed, "-o", folder / "run"
 
 
 def write_until(path, until, model="spherical"):

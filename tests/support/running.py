@@ -20,8 +20,19 @@ def environment(home: Path) -> dict[str, str]:
     return {**os.environ, "STARBENCH_HOME": str(home), "STARBENCH_LOCKS": str(home / "locks")}
 
 
-def starbench(*words, home: Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
+def with_status(
+    process: subprocess.CompletedProcess[str], status: int | None
+) -> subprocess.CompletedProcess[str]:
+    """See that a process has ended with this status; None is any."""
+    assert status in {None, process.returncode}, f"{process.returncode}: {process.stdout}{process.stderr}"
+    return process
+
+
+def starbench(
+    *words, home: Path, cwd: Path | None = None, status: int | None = 0
+) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process of its own, which must end with a status."""
+    process = subprocess.run(
         [*STARBENCH, *map(str, words)],
         env=environment(home),
         cwd=cwd,
@@ -31,9 +42,10 @@ def starbench(*words, home: Path, cwd: Path | None = None) -> subprocess.Complet
         stdin=subprocess.DEVNULL,
         check=False,
     )
+    return with_status(process, status)
 
 
-def called(*words, home: Path) -> subprocess.CompletedProcess[str]:
+def called(*words, home: Path, status: int | None = 0) -> subprocess.CompletedProcess[str]:
     """Run a command in this process: all that a process of its own would add is its start, of 3 s."""
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
     with (
@@ -43,9 +55,9 @@ def called(*words, home: Path) -> subprocess.CompletedProcess[str]:
         try:
             main([str(word) for word in words])
         except SystemExit as end:
-            status = int(end.code or 0)
+            code = int(end.code or 0)
     outputs = [stream.buffer.getvalue().decode() for stream in (out, err)]
-    return subprocess.CompletedProcess(words, status, *outputs)
+    return with_status(subprocess.CompletedProcess(words, code, *outputs), status)
 
 
 def start(*words, home: Path) -> subprocess.Popen[str]:

@@ -211,9 +211,9 @@ def _run(folder: Path, home: Path, words: list[Any], mistake: RunMistake) -> tup
         return process.returncode, out + err
     if mistake.order:
         with _Hand(folder, 3, mistake.order):
-            done = called(*words, home=home)
+            done = called(*words, home=home, status=None)
     else:
-        done = called(*words, home=home)
+        done = called(*words, home=home, status=None)
     return done.returncode, done.stdout + done.stderr
 
 
@@ -230,7 +230,7 @@ def mistaken_run(name: str, seed: int) -> dict[str, Any]:
         # What rests on an earlier run stands in the journal, and not in the results.
         solved = [entry for entry in journal(folder) if entry["event"] == "solved"]
         if solved:
-            output = called("status", folder, home=home).stdout
+            output = called("status", folder, home=home, status=None).stdout
     if code or not solved:
         right = bool(mistake.refused and re.search(mistake.refused, output, re.DOTALL))
         return {**line, "causes": [], "told": [output], "right": right, "wrong": not right}
@@ -253,6 +253,5 @@ def _healthy_before(base: Path, seed: int) -> Path:
     if not (kept / "run" / RESULTS).exists():
         shutil.rmtree(kept, ignore_errors=True)
         words = _words(kept / "files", _station(), {}, seed + EARLIER)
-        done = called(*words, "-o", kept / "run", home=kept / "home")
-        assert done.returncode == 0, done.stdout + done.stderr
+        called(*words, "-o", kept / "run", home=kept / "home")
     return Path(shutil.copytree(kept / "home", base / "home"))

@@ -56,8 +56,8 @@ def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path
 
 
 def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, monkeypatch):
-    refused = called("panel", root, "--no-browser", "--no-token", "--host", "0.0.0.0", home=tmp_path)
-    assert refused.returncode == 2
+    words = ("panel", root, "--no-browser", "--no-token", "--host", "0.0.0.0")
+    refused = called(*words, home=tmp_path, status=2)
     assert "need a token" in refused.stderr
     monkeypatch.setenv("STARBENCH_PAGE_TOKEN", TOKEN)
     with panel(root, "--host", "0.0.0.0", home=tmp_path) as (process, url):
