@@ -1,12 +1,11 @@
 """A disk whose writes and syncs fail at random, in a real process: bounded, told in words, safe, and nothing stored is lost."""
 
 import hashlib
-import subprocess
 
 import pytest
 from failing_calls import build_library
-from quick_runs import THREE_NAMED, write_sequence, write_station
-from running import PATIENCE_S, STARBENCH, environment, journal, starbench
+from quick_runs import THREE_NAMED, quick_words
+from running import STARBENCH, environment, journal, python, starbench
 
 
 @pytest.fixture(scope="module")
@@ -18,29 +17,16 @@ def shim(tmp_path_factory):
     return library
 
 
-@pytest.fixture
-def files(tmp_path):
-    return write_sequence(tmp_path / "sequence.yaml", THREE_NAMED), write_station(tmp_path / "station.yaml")
-
-
-def run_on_failing_disk(shim, tmp_path, files, what, probability, seed):
-    sequence, station = files
+def run_on_failing_disk(shim, tmp_path, what, probability, seed):
     failing = {
-        "LD_PRELOAD": str(shim),
+        "LD_PRELOAD": shim,
         "FAILING_KIND": what,
-        "FAILING_PROBABILITY": str(probability),
-        "FAILING_FOLDER": str(tmp_path / "run"),
-        "FAILING_SEED": str(seed),
+        "FAILING_PROBABILITY": probability,
+        "FAILING_FOLDER": tmp_path / "run",
+        "FAILING_SEED": seed,
     }
-    return subprocess.run(
-        [*STARBENCH, "run", str(sequence), "-s", str(station), "--seed", "7", "-o", str(tmp_path / "run")],
-        env=environment(tmp_path / "home") | failing,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        stdin=subprocess.DEVNULL,
-        check=False,
-    )
+    words = quick_words(tmp_path, THREE_NAMED)
+    return python(*STARBENCH[1:], *words, status=None, **environment(tmp_path / "home") | failing)
 
 
 def stored(folder):
@@ -56,10 +42,10 @@ def hashes(folder, names):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(("what", "probability"), [("write", 0.004), ("sync", 0.03)])
 def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
-    shim, tmp_path, files, what, probability, seed
+    shim, tmp_path, what, probability, seed
 ):
     folder, home = tmp_path / "run", tmp_path / "home"
-    ended = run_on_failing_disk(shim, tmp_path, files, what, probability, seed)
+    ended = run_on_failing_disk(shim, tmp_path, what, probability, seed)
     assert "Traceback" not in ended.stderr + ended.stdout, ended.stderr
     assert ended.returncode in {0, 1}, ended.stderr
     if ended.returncode == 0:  # what failed did not matter

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import time
+from functools import partial
 
 import pytest
 import serial
+from running import answer_of, start_python
 
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
@@ -24,31 +25,14 @@ def device(tmp_path):
 
 
 def start(port: str, link) -> subprocess.Popen[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "simulators.fault_line",
-        "--port",
-        port,
-        "--baud",
-        "115200",
-        "--link",
-        str(link),
-    ]
-    return subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    words = ("--port", port, "--baud", 115_200, "--link", link)
+    return start_python("-m", "simulators.fault_line", *words, stdin=subprocess.PIPE)
 
 
 def test_it_passes_everything_on_and_spoils_what_it_is_told_to(device: SerialDevice, tmp_path):
     process = start(device.address, tmp_path / "spoilt")
     link = json.loads(process.stdout.readline())["link"]
-
-    def say(text: str) -> dict[str, object]:
-        process.stdin.write(text + "\n")
-        process.stdin.flush()
-        return json.loads(process.stdout.readline())
-
+    say = partial(answer_of, process)
     with serial.Serial(link, 115_200, timeout=2.0) as line:
 
         def ask(request: bytes) -> bytes:

@@ -2,11 +2,10 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from running import python
 from solved_run import write_solved_run
 
 SUPPORT = Path(__file__).parents[1] / "support"
@@ -21,10 +20,8 @@ def run(tmp_path_factory):
 
 def results_of(folder, run, *options):
     """Do the cases; return what came of each."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(SUPPORT), str(SUPPORT.parents[1])])}
-    program = [sys.executable, str(SUPPORT / "hostile_inputs.py"), str(folder), str(run), *options]
-    ended = subprocess.run(program, env=environment, capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr[-3000:]
+    path = os.pathsep.join([str(SUPPORT), str(SUPPORT.parents[1])])
+    ended = python(SUPPORT / "hostile_inputs.py", folder, run, *options, PYTHONPATH=path)
     return [json.loads(line) for line in ended.stdout.splitlines()]
 
 

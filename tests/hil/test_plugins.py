@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
 from quick_runs import THREE, write_sequence, write_station
+from running import python
 from station_texts import without
 
 ROOT = Path(__file__).parents[2]
@@ -69,26 +68,15 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example, installed by pip into a folder."""
     folder = tmp_path_factory.mktemp("plugin")
     shutil.copytree(EXAMPLE, folder / "source")
-    options = [
-        "--quiet",
-        "--no-deps",
-        "--no-index",
-        "--disable-pip-version-check",
-        "--target",
-        folder / "site",
-    ]
-    made = wheel(EXAMPLE, folder)
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, made], check=True, capture_output=True)
+    options = ["--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"]
+    python("-m", "pip", "install", *options, "--target", folder / "site", wheel(EXAMPLE, folder))
     (folder / "source" / "starbench_epics").rename(folder / "not_here")
     return folder
 
 
 def run(site: Path, *arguments: str | Path, cwd: Path = ROOT) -> str:
     paths = os.pathsep.join(filter(None, [str(site), str(ROOT), os.environ.get("PYTHONPATH")]))
-    environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(
-        [sys.executable, *arguments], env=environment, cwd=cwd, capture_output=True, text=True, check=False
-    )
+    done = python(*arguments, status=None, cwd=cwd, PYTHONPATH=paths, PYTHONDONTWRITEBYTECODE=1)
     return done.stdout + done.stderr
 
 

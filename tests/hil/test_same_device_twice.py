@@ -8,15 +8,13 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from station_texts import PLAIN
+from station_texts import PLAIN, station_of
 
 from bench.base.clock import BenchClock
 from bench.stations.device_locks import serial_devices
 from bench.stations.devices import Devices
-from bench.stations.station import Station
 from drivers.errors import PortBusy
 from drivers.file_lock import FOLDER_VARIABLE, DeviceHold, event_camera_name
-from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice, TcpPort
 from tests.hil.direct_stages import of_one_port
@@ -38,9 +36,8 @@ def ports(tmp_path: Path) -> Iterator[list[str]]:
         ]
 
 
-def station(port: str) -> Station:
-    text = PLAIN.replace("sim:gimbal", port)
-    return check_document(text.encode(), "station.yaml", Station).value
+def station(port: str):
+    return station_of(PLAIN.replace("sim:gimbal", port))
 
 
 def opened(port: str) -> Devices:

@@ -13,6 +13,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -181,23 +182,16 @@ def test_threads_take_turns_on_one_line(plug, port) -> None:
             os.write(plug.ours, data)
             served += data.count(b"\n")
 
-    device = threading.Thread(target=echo, daemon=True)
-    device.start()
     link = InStep(port, clock=SystemClock())
-    wrong = []
 
     def ask(name: str) -> None:
         for number in range(20):
             text = f"{name}{number}\n".encode()
-            if link.exchange(text, lambda reader: reader.read_line(), deadline_s=30.0) != text:
-                wrong.append(text)
+            assert link.exchange(text, lambda reader: reader.read_line(), deadline_s=30.0) == text
 
-    threads = [threading.Thread(target=ask, args=(name,)) for name in "abcd"]
-    for thread in threads:
-        thread.start()
-    for thread in [*threads, device]:
-        thread.join()
-    assert wrong == []
+    with ThreadPoolExecutor(5) as pool:
+        for done in [pool.submit(echo), *(pool.submit(ask, name) for name in "abcd")]:
+            done.result()
 
 
 class DeviceServer:

@@ -7,10 +7,12 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 import serial
+from running import answer_of, start_python
 from waiting import wait_until
 
 from simulators.bench import Bench, main
@@ -19,10 +21,8 @@ from simulators.faults.catalogue import fault_order_from_text
 
 
 def start(folder, *words: str, until_eof: bool = True) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "simulators.bench", "--folder", str(folder), *words]
-    command += ["--until-eof"] * until_eof
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    words += ("--until-eof",) * until_eof
+    return start_python("-m", "simulators.bench", "--folder", folder, *words, stdin=subprocess.PIPE)
 
 
 def ask(line: serial.Serial, request: str) -> str:
@@ -116,12 +116,7 @@ def test_an_invalid_configuration_ends_in_one_line(tmp_path, capsys, monkeypatch
 def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
     process = start(tmp_path, "--seed", "3")
     endpoints = json.loads(process.stdout.readline())["endpoints"]
-
-    def say(text: str) -> dict[str, object]:
-        process.stdin.write(text + "\n")
-        process.stdin.flush()
-        return json.loads(process.stdout.readline())
-
+    say = partial(answer_of, process)
     with serial.Serial(endpoints["gimbal"], 115_200, timeout=2.0) as line:
         assert say("gimbal doubled")["ok"]
         assert ask(line, "/1 0 00") == line.read_until(b"\n").decode().strip()

@@ -4,8 +4,6 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -13,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from quick_runs import SIMULATION, THREE_NAMED, write_sequence, write_station
-from running import PATIENCE_S, end_when, entering, journal, starbench, start, wait_for
+from running import PATIENCE_S, end_when, entering, journal, python, starbench, start, wait_for
 
 from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
@@ -176,15 +174,7 @@ sys.exit(main(sys.argv[2:]))
 @pytest.mark.parametrize("callback", ["slewing", "recording", "checking", "waiting", "parking", "solving"])
 def test_an_exception_in_any_callback_leaves_devices_safe(tmp_path, bench, callback):
     _, station, sequence = bench
-    command = [sys.executable, "-c", RAISING, callback, "run", str(sequence), "-s", str(station)]
-    ended_process = subprocess.run(
-        [*command, "-o", str(tmp_path / "run")],
-        env={**os.environ, "STARBENCH_HOME": str(tmp_path / "home")},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert ended_process.returncode == 1, ended_process.stderr
+    words = ("run", sequence, "-s", station, "-o", tmp_path / "run")
+    python("-c", RAISING, callback, *words, status=1, STARBENCH_HOME=tmp_path / "home")
     assert "a mistake of ours" in journal(tmp_path / "run")[-1]["why"]
     see_that_it_is_safe(station)

@@ -9,14 +9,13 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import textwrap
 import time
 from pathlib import Path
 
 import pytest
 from quick_runs import quick_words
-from running import PATIENCE_S, STARBENCH, environment, journal, results
+from running import PATIENCE_S, STARBENCH, environment, journal, python, results, start_python
 
 BARE = """
 import fcntl, os, select, signal, stat, subprocess, sys, types
@@ -82,34 +81,24 @@ def bare(tmp_path: Path) -> dict[str, str]:
     return {**environment(tmp_path / "home"), "PYTHONPATH": path}
 
 
-def python(bare: dict[str, str], *words, **more) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *map(str, words)],
-        env=bare, capture_output=True, text=True, timeout=PATIENCE_S, stdin=subprocess.DEVNULL, check=False, **more,
-    )  # fmt: skip
-
-
 def test_a_file_is_locked_once_and_freed_by_the_death_of_its_process(bare, tmp_path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"")
-    command = [sys.executable, "-c", LOCK, str(path)]
-    holder = subprocess.Popen(command, env=bare, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    holder = start_python("-c", LOCK, path, stdin=subprocess.PIPE, **bare)
     try:
         assert holder.stdout.readline() == "held\n"
-        assert "BlockingIOError" in python(bare, "-c", LOCK, path).stderr
+        assert "BlockingIOError" in python("-c", LOCK, path, status=1, **bare).stderr
     finally:
         holder.kill()
         holder.communicate()
-    assert python(bare, "-c", LOCK, path).stdout == "held\n"
+    assert python("-c", LOCK, path, **bare).stdout == "held\n"
 
 
 @pytest.mark.slow
 def test_a_run_goes_over_tcp_from_a_station_that_says_nothing_of_it(bare, tmp_path) -> None:
     folder = tmp_path / "run"
-    ended = python(
-        bare, *STARBENCH[1:], "run", "three_pose", "-s", "simulated", "--seed", 7, "-o", folder, "--json"
-    )
-    assert ended.returncode == 0, ended.stderr
+    words = ("run", "three_pose", "-s", "simulated", "--seed", 7, "-o", folder, "--json")
+    ended = python(*STARBENCH[1:], *words, **bare)
     assert json.loads(ended.stdout)["converged"]
     wire = (folder / "wire.jsonl").read_text()
     assert "socket://127.0.0.1:" in wire
@@ -127,8 +116,7 @@ def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tm
     ours, theirs = pty.openpty()
     station = tmp_path / "station.yaml"
     station.write_text(station.read_text().replace("ports: pty, ", ""))
-    command, pipe = [*STARBENCH, *map(str, words)], subprocess.PIPE
-    process = subprocess.Popen(command, env=bare, stdin=theirs, stdout=pipe, stderr=pipe, text=True)
+    process = start_python(*STARBENCH[1:], *words, stdin=theirs, **bare)
     try:
         deadline = time.monotonic() + PATIENCE_S
         while not any(line["event"] == "asked" for line in journal(folder)):

@@ -74,20 +74,8 @@ def person(path, name="ada@lab.example", passphrase=b""):
 def ssh_verifies(folder, signers, who, *more, signed="SHA256SUMS.sig", signature="SHA256SUMS.authorised.sig"):
     """Whether stock ssh-keygen accepts the authorisation beside a seal, or another signature."""
     namespace = NAMESPACE if signed == "SHA256SUMS" else AUTHORISATION_NAMESPACE
-    command = [
-        "ssh-keygen",
-        "-Y",
-        "verify",
-        "-f",
-        signers,
-        "-I",
-        who,
-        "-n",
-        namespace,
-        "-s",
-        signature,
-        *more,
-    ]
+    command = ["ssh-keygen", "-Y", "verify", "-f", signers, "-I", who]
+    command += ["-n", namespace, "-s", signature, *more]
     with (folder / signed).open("rb") as read:
         done = subprocess.run(command, cwd=folder, stdin=read, capture_output=True, check=False)
     return done.returncode == 0

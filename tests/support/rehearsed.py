@@ -49,6 +49,8 @@ class Scene:
         assert not planned.faults, [str(fault) for fault in planned.faults]
         self.task = Job.from_plan(planned, seed=1, operator=None)
         self.hook = lambda _name: None
+        self.errors = {}
+        """What calls raise, by their names."""
         self.opened = []
         self.calls = []
         self.runner = None
@@ -74,6 +76,8 @@ class Scene:
 
     def _happens(self, name):
         self.calls.append(name)
+        if name in self.errors:
+            raise self.errors[name]
         return self.hook(name)
 
     def at(self, call, nth, do):

@@ -28,21 +28,39 @@ def with_status(
     return process
 
 
-def starbench(
-    *words, home: Path, cwd: Path | None = None, status: int | None = 0
-) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own, which must end with a status."""
-    process = subprocess.run(
-        [*STARBENCH, *map(str, words)],
-        env=environment(home),
+def python(*words, status: int | None = 0, cwd: Path | None = None, **variables):
+    """Run Python in a process of its own, with some variables more, which must end with a status."""
+    with start_python(*words, cwd=cwd, **variables) as process:
+        try:
+            outputs = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    return with_status(subprocess.CompletedProcess(words, process.returncode, *outputs), status)
+
+
+def start_python(*words, stdin=subprocess.DEVNULL, cwd: Path | None = None, **variables):
+    """Start Python in a process of its own, with some variables more; its outputs are pipes of text."""
+    return subprocess.Popen(
+        [sys.executable, *map(str, words)],
+        env={**os.environ, **{name: str(value) for name, value in variables.items()}},
         cwd=cwd,
-        capture_output=True,
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        timeout=PATIENCE_S,
-        stdin=subprocess.DEVNULL,
-        check=False,
     )
-    return with_status(process, status)
+
+
+def answer_of(process: subprocess.Popen[str], line: str) -> dict:
+    """Give a process a line, and return its answer, a line in JSON."""
+    process.stdin.write(f"{line}\n")
+    process.stdin.flush()
+    return json.loads(process.stdout.readline())
+
+
+def starbench(*words, home: Path, cwd: Path | None = None, status: int | None = 0):
+    """Run a command in a process of its own, which must end with a status."""
+    return python(*STARBENCH[1:], *words, status=status, cwd=cwd, **environment(home))
 
 
 def called(*words, home: Path, status: int | None = 0) -> subprocess.CompletedProcess[str]:
@@ -61,14 +79,7 @@ def called(*words, home: Path, status: int | None = 0) -> subprocess.CompletedPr
 
 
 def start(*words, home: Path) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*STARBENCH, *map(str, words)],
-        env=environment(home),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return start_python(*STARBENCH[1:], *words, **environment(home))
 
 
 def has_ended(pid: int) -> bool:

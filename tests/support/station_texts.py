@@ -2,7 +2,8 @@
 
 import re
 
-from bench.stations.station import SHIPPED_STATIONS
+from bench.stations.station import SHIPPED_STATIONS, Station
+from sequences.reader import check_document
 
 
 def without(text: str, *sections: str) -> str:
@@ -11,6 +12,15 @@ def without(text: str, *sections: str) -> str:
         text, replaced = re.subn(rf"(?m)(^#.*\n)*^{name}:.*\n((?=[ #]).*\n|\n(?= ))*", "", text)
         assert replaced == 1, name
     return text
+
+
+def document_of(text: str):
+    """The text of a station file, read; where it has faults, they are raised."""
+    return check_document(text.encode(), "station.yaml", Station)
+
+
+def station_of(text: str) -> Station:
+    return document_of(text).value
 
 
 IDEAL = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text(encoding="utf-8")

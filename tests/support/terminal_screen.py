@@ -1,8 +1,16 @@
 """A terminal as far as a block of text needs it: what stands on the screen after some output."""
 
+import io
 import re
 
 _TOKEN = re.compile(r"\x1b\[([0-9;?]*)([A-Za-z])|([\r\n])|([^\x1b\r\n]+)")
+
+
+class Terminal(io.StringIO):
+    """A terminal that keeps what is written to it."""
+
+    def isatty(self):
+        return True
 
 
 class Screen:

@@ -1,12 +1,10 @@
 """The core without `bench/extras`: it works, and what needs an extra says which."""
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from running import start_python
 from slow_cases import first_quick
 from waiting import wait_until
 
@@ -26,19 +24,8 @@ class Core:
         (folder / "home" / "allowed_signers").touch()
 
     def start(self, *words):
-        environment = {
-            **os.environ,
-            "PYTHONPATH": str(self.folder),
-            "STARBENCH_HOME": str(self.folder / "home"),
-        }
-        return subprocess.Popen(
-            [sys.executable, "-m", "bench", *words],
-            cwd=self.folder / "work",
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        places = {"PYTHONPATH": self.folder, "STARBENCH_HOME": self.folder / "home"}
+        return start_python("-m", "bench", *words, cwd=self.folder / "work", **places)
 
     def __call__(self, *words, status=0):
         process = self.start(*words)

@@ -1,11 +1,10 @@
 """The page for contributors: its commands work, and every file that it names exists."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from running import python
 
 ROOT = Path(__file__).parents[3]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -14,9 +13,7 @@ COMMANDS = re.findall(r"^\.venv/bin/pytest (.+)$", TEXT, re.MULTILINE)
 
 @pytest.mark.parametrize("words", COMMANDS)
 def test_each_command_finds_tests(words):
-    command = [sys.executable, "-m", "pytest", "--collect-only", "-p", "no:cacheprovider", *words.split()]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-2000:]
+    python("-m", "pytest", "--collect-only", "-p", "no:cacheprovider", *words.split(), cwd=ROOT)
 
 
 def test_there_are_commands_and_each_target_of_make_exists():

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from filled_stations import filled_example
 from flat import flatten
-from station_texts import PLAIN
+from station_texts import PLAIN, station_of, without
 
 from bench.plan.plan import load_documents, make_plan
 from bench.plan.script_check import check_script
@@ -42,10 +42,9 @@ SCRIPT = "format: starbench/sequence/1\nname: x\nsteps: [light]\n"
 def test_an_example_in_the_documents_is_read_without_a_fault(name, text):
     if name == "stations":
         if not text.startswith("format"):
-            sections = yaml.safe_load(text)
-            kept = [line for line in PLAIN.splitlines() if line.partition(":")[0] not in sections]
-            text = "\n".join(kept) + "\n" + text
-        assert check_document(text.encode(), "example", Station).value.stage.axes
+            sections = [name for name in yaml.safe_load(text) if f"\n{name}:" in PLAIN]
+            text = without(PLAIN, *sections) + text
+        assert station_of(text).stage.axes
     else:
         head = SCRIPT.partition("steps")[0] if text.startswith("steps") else SCRIPT
         whole = text if text.startswith("format") else head + text
@@ -102,13 +101,11 @@ def test_every_key_of_a_target_is_explained_in_its_document():
         shown = key in drawing or key in {"description", "units", "mirrored", "drawing"}
         assert shown, key
     example = re.search(r"```yaml\n(target:\n.*?)```", document, re.DOTALL)
-    kept = [line for line in PLAIN.splitlines() if not line.startswith("target:")]
-    text = "\n".join(kept) + "\n" + example[1]
-    assert check_document(text.encode(), "example", Station).value.target.serial == "R-7"
+    assert station_of(PLAIN + example[1]).target.serial == "R-7"
 
 
 def test_the_shipped_sequences_suit_the_example_station():
-    station = check_document(filled_example("example_evk4").encode(), "bench.yaml", Station).value
+    station = station_of(filled_example("example_evk4"))
     for path in sorted((ROOT / "sequences").glob("*.yaml")):
         if path.stem == "parallax_test":  # out of reach of this stage
             continue

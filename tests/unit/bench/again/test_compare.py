@@ -16,6 +16,7 @@ from bench.solve.results_content import software
 from bench.solve.solution import compare_with_truth
 from calib.calibration import ENGINES
 from simulators.config import bench_config
+from tests.unit.bench.evidence.attack_steps import set_at
 
 
 def compared(stored, again):
@@ -123,11 +124,7 @@ def test_a_covariance_is_compared_in_units_of_its_sigmas(stored):
 )
 def test_every_other_value_is_compared_too(stored, path, value):
     again = copy.deepcopy(stored)
-    part = again
-    for key in path[:-1]:
-        part = part[key]
-    assert part[path[-1]] != value
-    part[path[-1]] = value
+    set_at(again, path, value)
     faults = compared(stored, again)[0]
     assert faults
     assert all(str(path[-2] if isinstance(path[-1], int) else path[-1]) in fault for fault in faults)

@@ -11,7 +11,6 @@ from kept_calibrations import kept_calibration
 from slow_cases import first_quick
 
 from bench.again.recalculated import check_recalculated
-from bench.base.bounded_json import canonical_json
 from bench.evidence.verify import verify_folder
 from bench.solve.offline import calibrate_paths
 from bench.solve.offline_folder import write_offline_results
@@ -117,12 +116,7 @@ def test_options_of_a_later_version_are_refused_by_name():
 
 
 def in_json(name, change):
-    def attack(f):
-        content = json.loads((f / name).read_bytes())
-        change(content)
-        (f / name).write_bytes(canonical_json(content))
-
-    return attack
+    return lambda f: f.edit_json(name, change)
 
 
 ATTACKS = {

@@ -52,12 +52,7 @@ def test_a_failure_says_what_its_error_says_and_one_that_nobody_foresaw_is_a_def
 def scene_with(folder, errors):
     """A run on devices whose calls raise these errors, by the name of the call."""
     scene = Scene(folder)
-
-    def hook(name):
-        if name in errors:
-            raise errors[name]
-
-    scene.hook = hook
+    scene.errors = errors
     return scene
 
 

@@ -1,11 +1,10 @@
 """Compiled kernels find a folder for every user, and never one that another user could have filled."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from running import python
 
 from bench.base.kernel_cache import VARIABLE, remove_stale_kernels, set_kernel_cache
 
@@ -68,8 +67,7 @@ def test_the_command_line_asks_before_numba_is_imported():
         "import sys, bench.base.kernel_cache as k; k.set_kernel_cache = lambda e: print('numba' in sys.modules);"
         "from bench.commands.cli import main; main(['--version'])"
     )
-    command = [sys.executable, "-c", program]
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    ended = python("-c", program, cwd=ROOT)
     assert ended.stdout.splitlines()[0] == "False"
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 from journals import MadeRun
-from running import environment
+from running import starbench
 
 HOSTILE = "run\x1b[2J\x9b31m\u202etxt"
 """Clears the screen, colours what follows (in seven and eight bits), and turns the reading direction."""
@@ -24,9 +22,7 @@ def folder(tmp_path):
 @pytest.mark.parametrize("words", [["runs"], ["status"], ["status", "--json"]])
 def test_a_hostile_name_of_a_folder_is_printed_as_text(folder, tmp_path, words):
     place = folder.parent if words == ["runs"] else folder
-    command = [sys.executable, "-m", "bench", *words, str(place)]
-    ended = subprocess.run(command, env=environment(tmp_path), capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr
+    ended = starbench(*words, place, home=tmp_path)
     text = ended.stdout + ended.stderr
     assert not {"\x1b", "\x9b", "\u202e"} & set(text)
     if "--json" in words:

@@ -7,17 +7,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from terminal_screen import Terminal
 from waiting import wait_until
 
 from bench.base.clock import Aborted, BenchClock, VirtualClock
 from bench.base.progress import Progress, Reply, ask
 
 NIGHT = datetime(2026, 3, 1, 20, tzinfo=UTC)
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
 
 
 class Typed(Terminal):

@@ -6,9 +6,11 @@ import subprocess
 import sys
 import threading
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from running import python
 
 from bench.base.clock import Aborted, BenchClock, Interrupted, reliable_interrupts, stop_on_signals
 
@@ -36,10 +38,7 @@ print(stopped)
 
 
 def test_a_signal_at_any_moment_of_a_wait_stops_it():
-    ended = subprocess.run(
-        [sys.executable, "-c", MANY_SIGNALS], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert ended.stdout == "400\n", ended.stderr
+    assert python("-c", MANY_SIGNALS).stdout == "400\n"
 
 
 CUT_OFF = """
@@ -51,8 +50,7 @@ print("ends")
 
 
 def test_a_program_ends_after_the_work_that_its_clock_began():
-    ended = subprocess.run([sys.executable, "-c", CUT_OFF], capture_output=True, text=True, check=False)
-    assert ended.stdout == "ends\ncomputed\n", ended.stderr
+    assert python("-c", CUT_OFF).stdout == "ends\ncomputed\n"
 
 
 def test_the_third_ctrl_c_ends_the_process_at_once():
@@ -74,21 +72,10 @@ def test_all_who_wait_are_woken_and_what_was_taken_back_wakes_nobody():
     with pytest.raises(Interrupted):
         clock.sleep(60)
     clock.clear_interruption()
-    ended = []
-
-    def wait():
-        try:
-            clock.sleep(60)
-        except Aborted:
-            ended.append(1)
-
-    waiting = [threading.Thread(target=wait) for _ in range(3)]
-    for thread in waiting:
-        thread.start()
-    clock.request_stop("all of you")
-    for thread in waiting:
-        thread.join(10)
-    assert len(ended) == 3
+    with ThreadPoolExecutor(3) as pool:
+        waiting = [pool.submit(clock.sleep, 60) for _ in range(3)]
+        clock.request_stop("all of you")
+        assert [type(wait.exception(10)) for wait in waiting] == [Aborted] * 3
 
 
 # ---------------------------------------------------------------- work without devices

@@ -5,17 +5,15 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from filled_stations import filled_example
-from station_texts import PLAIN
+from station_texts import PLAIN, station_of
 
 from bench.base.clock import VirtualClock
 from bench.batch.virtual_devices import FIRST_LINE, VirtualDevices, read_view
 from bench.plan.plan import RECORD_EXTRA_S
-from bench.stations.station import Station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings
 from drivers.errors import NotHomed, OutsideLimits, RecordingFailed, WrongDevice
 from drivers.light import LightSettings
-from sequences.reader import check_document
 
 
 @pytest.fixture
@@ -23,14 +21,9 @@ def clock():
     return VirtualClock(datetime(2026, 3, 1, 20, tzinfo=UTC))
 
 
-def station(simulation):
-    return check_document(
-        PLAIN.encode().replace(b"simulation: {}", simulation), "station.yaml", Station
-    ).value
-
-
-def devices(clock, simulation=b"simulation: {}", seed=1):
-    return VirtualDevices(station(simulation), seed=seed, clock=clock)
+def devices(clock, simulation="simulation: {}"):
+    station = station_of(PLAIN.replace("simulation: {}", simulation))
+    return VirtualDevices(station, seed=1, clock=clock)
 
 
 def test_nothing_moves_before_homing_or_beyond_a_limit(clock):
@@ -63,7 +56,7 @@ def test_a_recording_takes_its_duration_and_holds_its_stars(clock, tmp_path):
 
 
 def test_a_rehearsed_fault_raises_the_error_of_a_camera(clock, tmp_path):
-    held = devices(clock, b"simulation: {rehearsal: {lost_share: 1}}")
+    held = devices(clock, "simulation: {rehearsal: {lost_share: 1}}")
     held.stage.home()
     with pytest.raises(RecordingFailed, match="rehearsed fault"):
         held.camera.record(tmp_path / "r", 0.05)
@@ -71,12 +64,12 @@ def test_a_rehearsed_fault_raises_the_error_of_a_camera(clock, tmp_path):
 
 def test_a_camera_other_than_the_station_s_is_refused_at_opening(clock):
     with pytest.raises(WrongDevice, match="the camera has 7"):
-        devices(clock, b"simulation: {camera_serial: '7'}")
+        devices(clock, "simulation: {camera_serial: '7'}")
 
 
 def test_a_station_of_real_devices_is_rehearsed_by_its_expected_section(clock):
     text = filled_example("example_evk4") + "expected: {focal_px: 3300, r_mm: 255, half_angle_deg: 12}\n"
-    real = check_document(text.encode(), "bench.yaml", Station).value
+    real = station_of(text)
     held = VirtualDevices(real, seed=1, clock=clock)
     assert held.truth()["camera"]["fx"] == real.expected.focal_px
     assert held.camera.identify().serial == "00051234"

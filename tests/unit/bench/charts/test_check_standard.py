@@ -6,10 +6,9 @@ from datetime import timedelta
 import pytest
 from many_runs import BEGIN, VALUES, BenchOfRuns
 from nights import begun, night
-from station_texts import PLAIN
+from station_texts import PLAIN, station_of
 
 from bench.charts.check_standard import standard_problem
-from bench.stations.station import Station
 from sequences.queue import Queue
 from sequences.reader import check_document
 
@@ -24,10 +23,6 @@ def home(tmp_path, monkeypatch):
 
 def station_text(more=STANDARD % "true"):
     return re.sub(r"(?m)^name: .*$", "name: Bench 1", PLAIN, count=1) + more
-
-
-def station(more=STANDARD % "true"):
-    return check_document(station_text(more).encode(), "b.yaml", Station).value
 
 
 def measured(home, tmp_path, last=(), **facts):
@@ -53,15 +48,15 @@ def test_a_standard_out_of_control_or_not_measured_in_time_is_a_problem(
     home, tmp_path, last, days_later, problem
 ):
     now = measured(home, tmp_path, last) + timedelta(days=days_later)
-    message = standard_problem(station(), home, now)
+    message = standard_problem(station_of(station_text()), home, now)
     assert message == (f"The check standard, camera 00050001, {problem}" if problem else "")
-    assert standard_problem(station(""), home, now) == ""
+    assert standard_problem(station_of(station_text("")), home, now) == ""
 
 
 @pytest.mark.parametrize("facts", [{"station": "Bench 2"}, {"simulated": False}])
 def test_runs_of_another_station_or_kind_do_not_count(home, tmp_path, facts):
     now = measured(home, tmp_path, **facts)
-    assert standard_problem(station(), home, now).endswith("on this station.")
+    assert standard_problem(station_of(station_text()), home, now).endswith("on this station.")
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,13 @@ import json
 import os
 import re
 import sqlite3
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from calling import out_of, refusal
 from command_words import CORE, check_help, check_words, commands, examples
 from journals import MadeRun
+from running import python
 
 from bench.base.errors import StorageError
 from bench.commands.cli import cli
@@ -143,24 +142,15 @@ def test_with_json_an_invalid_argument_is_an_object_too(say, words):
 def test_characters_that_a_stream_cannot_show_are_replaced():
     program = "from bench.base.encoding import replace_unencodable as s; import sys; s(sys.stdout);"
     program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
-    ended = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONIOENCODING": "ascii"},
-        capture_output=True,
-        check=False,
-    )
-    assert ended.stdout == b"3345.3 +/- 1.2, -0.9, ?\n", ended.stderr
+    ended = python("-c", program, cwd=ROOT, PYTHONIOENCODING="ascii")
+    assert ended.stdout == "3345.3 +/- 1.2, -0.9, ?\n"
 
 
 def test_ctrl_c_while_the_program_loads_prints_one_word(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTED)
-    ended = subprocess.run(
-        [sys.executable, "-m", "bench", "--help"],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "Stopped.\n")
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    ended = python("-m", "bench", "--help", status=130, PYTHONPATH=path)
+    assert (ended.stdout, ended.stderr) == ("", "Stopped.\n")
 
 
 @pytest.mark.parametrize("system", ["win32", "darwin"])

@@ -1,11 +1,8 @@
 """What a shell meets: commands that load little, and completion."""
 
-import os
-import subprocess
-import sys
-
 import pytest
 from click.shell_completion import get_completion_class
+from running import python
 from slow_cases import first_quick
 
 from bench.commands.cli import cli
@@ -28,13 +25,10 @@ print("loaded", sorted(loaded), file=sys.stderr)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    from bench.plan.plan import load_documents, make_plan
-
-    path = tmp_path_factory.mktemp("runs") / "run"
-    run = Run(path, make_plan(*load_documents("three_pose", "simulated")).to_dict())
+    run = Run(tmp_path_factory.mktemp("runs") / "run")
     run.tell(Event.ENTERING, state="recording", pose=1)
     run.die()
-    return path
+    return run.path
 
 
 @pytest.mark.parametrize(
@@ -54,10 +48,8 @@ def folder(tmp_path_factory):
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_small_commands_load_little(folder, tmp_path, words, status, unwanted):
-    environment = {**os.environ, "STARBENCH_HOME": str(tmp_path)}
     words = [word.format(run=folder) for word in words]
-    command = [sys.executable, "-c", CODE, ",".join(unwanted), *words]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    done = python("-c", CODE, ",".join(unwanted), *words, STARBENCH_HOME=tmp_path)
     assert f"exit {status}\n" in done.stderr, done.stderr
     assert done.stderr.endswith("loaded []\n")
 

@@ -1,35 +1,23 @@
 """`status --follow`: one block that stays on a terminal, new lines elsewhere."""
 
-import io
 import sys
 from dataclasses import replace
 from functools import partial
 
 import pytest
 from rich.console import ConsoleDimensions
-from terminal_screen import Screen
+from terminal_screen import Screen, Terminal
 
 from bench.base.text_block import Block
 from bench.batch.batch_status import BatchStatus
 from bench.commands.status import follow, status
-from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from tests.unit.bench.run.test_status import Run
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
-@pytest.fixture(scope="module")
-def planned():
-    return make_plan(*load_documents("three_pose", "simulated")).to_dict()
-
-
 @pytest.fixture
-def run(tmp_path, planned):
-    run = Run(tmp_path / "run", planned)
+def run(tmp_path):
+    run = Run(tmp_path / "run")
     yield run
     run.die()
 

@@ -53,17 +53,17 @@ def with_hashes(*attacks):
     return attack
 
 
+def set_at(tree, path, value):
+    """Set another value in nested data, at the keys of a path."""
+    for key in path[:-1]:
+        tree = tree[key]
+    assert tree[path[-1]] != value
+    tree[path[-1]] = value
+
+
 def result(*path, to):
     """Set a value of results.json, and put every hash in the journal right."""
-
-    def change(results):
-        part = results
-        for key in path[:-1]:
-            part = part[key]
-        assert part[path[-1]] != to
-        part[path[-1]] = to
-
-    return with_hashes(lambda f: f.edit_results(change))
+    return with_hashes(lambda f: f.edit_results(lambda results: set_at(results, path, to)))
 
 
 def line(event, change, nth=0):

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from unittest import mock
 
-from quick_runs import write_sequence, write_station
+from quick_runs import THREE_NAMED, write_sequence, write_station
 
 from bench.base.bounded_json import canonical_json
 from bench.base.clock import BenchClock
@@ -17,10 +17,6 @@ from bench.run.launch import Launch, start_run
 from bench.solve.solution import solve_run
 from bench.stations.devices import simulated_truth
 
-POSES = (
-    "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2},"
-    " {name: below, pan_deg: 0, tilt_deg: -3}]"
-)
 CERTIFICATE = (
     "nominal_r_mm: 255, certificate: {number: C-7, r_mm: 255, uncertainty_mm: 0.1, date: 2026-01-12}}"
 )
@@ -78,11 +74,10 @@ def make_run(folder, home):
     text = station.read_text()
     assert "nominal_r_mm: 255}" in text
     station.write_text(text.replace("nominal_r_mm: 255}", CERTIFICATE))
-    sequence = write_sequence(folder / "sequence.yaml", POSES, attempts=1, end=END)
+    sequence = write_sequence(folder / "sequence.yaml", THREE_NAMED, attempts=1, end=END)
     launch = Launch(BenchClock(), stream=io.StringIO())
+    words = {"output": folder / "run", "seed": 1, "operator": "Ada", "launch": launch}
     with mock.patch.dict(os.environ, {HOME_VARIABLE: str(home)}):
-        end = start_run(
-            str(sequence), str(station), output=folder / "run", seed=1, operator="Ada", launch=launch
-        )
+        end = start_run(str(sequence), str(station), **words)
     assert end.how == "finished", end.why
     return folder / "run"

@@ -63,10 +63,13 @@ class Forger:
     def results(self):
         return json.loads((self.folder / "results.json").read_bytes())
 
+    def edit_json(self, name, change):
+        content = json.loads((self.folder / name).read_bytes())
+        change(content)
+        (self.folder / name).write_bytes(canonical_json(content))
+
     def edit_results(self, change):
-        results = self.results
-        change(results)
-        (self.folder / "results.json").write_bytes(canonical_json(results))
+        self.edit_json("results.json", change)
 
     # ------------------------------------------------------------------ journal
 

@@ -12,6 +12,7 @@ import pytest
 from authorising import Authority, armoured, needs_openssl
 from hypothesis import given
 from hypothesis import strategies as st
+from servers import serving
 
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence import timestamp, tsa_client
@@ -166,7 +167,7 @@ def test_a_clock_that_contradicts_a_time_stamp_is_told(sealed, signers, authorit
 
 
 @contextmanager
-def serving(respond):
+def answering(respond):
     """An authority's server; ``respond(handler, body)`` answers each request."""
 
     class Handler(BaseHTTPRequestHandler):
@@ -178,15 +179,8 @@ def serving(respond):
             pass
 
     asked = []
-    server = HTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
-    thread.start()
-    try:
+    with serving(HTTPServer(("127.0.0.1", 0), Handler)) as server:
         yield f"http://127.0.0.1:{server.server_port}", asked
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join(5)
 
 
 def answer(handler, body, kind="application/timestamp-reply", status=200, **headers):
@@ -200,12 +194,12 @@ def answer(handler, body, kind="application/timestamp-reply", status=200, **head
 
 
 def test_an_authority_is_asked_once_and_a_redirect_is_not_followed(authority, others):
-    with serving(lambda handler, body: answer(handler, authority.reply(body))) as (url, asked):
+    with answering(lambda handler, body: answer(handler, authority.reply(body))) as (url, asked):
         reply = ask_authority(f"{url}/tsr?x=1", make_request(b"signature", nonce=True))
     assert check_reply(reply, b"signature", others, "SHA256SUMS.tsr").authority == "Example TSA"
     assert asked == ["/tsr?x=1"]
     with (
-        serving(lambda handler, _: answer(handler, b"", status=302, Location="/other")) as (url, asked),
+        answering(lambda handler, _: answer(handler, b"", status=302, Location="/other")) as (url, asked),
         pytest.raises(EvidenceError, match=r"302.*'/other'"),
     ):
         ask_authority(url, make_request(b"signature", nonce=True))
@@ -227,7 +221,7 @@ def test_an_authority_is_asked_once_and_a_redirect_is_not_followed(authority, ot
 def test_an_answer_that_is_no_time_stamp_of_this_request_is_told(authority, respond, why):
     other = authority.reply(make_request(b"signature", nonce=True).data)
     with (
-        serving(lambda handler, body: respond(handler, body, other)) as (url, _),
+        answering(lambda handler, body: respond(handler, body, other)) as (url, _),
         pytest.raises(EvidenceError, match=why),
     ):
         ask_authority(url, make_request(b"signature", nonce=True))
@@ -243,7 +237,7 @@ def test_an_authority_that_drips_is_given_up(monkeypatch):
                 handler.wfile.write(b"H")
         handler.close_connection = True
 
-    with serving(drip) as (url, _):
+    with answering(drip) as (url, _):
         try:
             with pytest.raises(EvidenceError, match="no answer within"):
                 ask_authority(url, make_request(b"signature", nonce=True))

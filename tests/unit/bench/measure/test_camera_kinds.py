@@ -5,17 +5,17 @@ from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
+from station_texts import station_of
 
 from bench.measure.camera_kinds import EventKind, camera_kind
 from bench.measure.measure import Measurement
 from bench.measure.measure_frames import frame_gates, frame_rejection_reasons, measure_frames
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
-from bench.stations.station import SHIPPED_STATIONS, Station
+from bench.stations.station import SHIPPED_STATIONS
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings, write_frames
-from sequences.reader import check_document
 from sequences.script import Gates, LightStep
 
 FRAMES = (SHIPPED_STATIONS / "simulated_frames.yaml").read_text(encoding="utf-8")
@@ -39,11 +39,6 @@ def steady(tmp_path) -> str:
     path = tmp_path / "steady.yaml"
     path.write_text(STEADY)
     return str(path)
-
-
-def station_of(camera: str) -> Station:
-    text = FRAMES.replace("driver: opencv\n  source: sim:frame-camera", camera)
-    return check_document(text.encode(), "b.yaml", Station).value
 
 
 def test_a_flicker_becomes_steady_light_at_its_high_level_for_a_frame_camera():
@@ -75,7 +70,8 @@ def test_a_sequence_of_steady_light_is_only_for_frame_cameras(steady):
 def test_the_settings_of_a_station_reach_its_camera():
     camera = create_autospec(FrameCamera, instance=True)
     camera.apply.return_value = FrameSettings(120.0, None)
-    kind = camera_kind(station_of("driver: opencv\n  source: /dev/video3\n  exposure: 120\n  pictures: 5"))
+    station = station_of(FRAMES.replace("sim:frame-camera", "/dev/video3\n  exposure: 120\n  pictures: 5"))
+    kind = camera_kind(station)
     assert kind.prepare(camera) == ({"exposure": 120.0, "gain": None}, [])
     camera.apply.assert_called_once_with(FrameSettings(120.0, None))
     recording = asdict(replace(TAKEN, frames=5, bits=12, saturated_share=0.0002))

@@ -1,7 +1,7 @@
 """Kept views: found once, equal to the last bit, never trusted when broken, bounded, private, safe with two processes."""
 
 import os
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import grimp
 import numpy as np
@@ -160,11 +160,9 @@ def test_several_writers_of_one_entry_leave_it_whole(kept):
             if (read := own.read(key)) is None or not same(read, view):
                 torn.append(own.remarks)
 
-    threads = [threading.Thread(target=work) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(4):
+            pool.submit(work)
     assert torn == []
     assert [path.name for path in (kept.folder / key[:2]).iterdir()] == [f"{key}.view"]
 

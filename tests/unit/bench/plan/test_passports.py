@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from station_texts import PLAIN
+from station_texts import PLAIN, without
 
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.passport_seal import read_passport_seal, seal_passport
@@ -48,11 +48,10 @@ def bench(tmp_path, monkeypatch):
     (tmp_path / "a").mkdir()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    kept = [line for line in PLAIN.splitlines() if not line.startswith("collimator:")]
 
     def plan(solve: str = "", collimator: str = "serial: C-1", settings=None, *, more=MORE, **options):
         (tmp_path / "a" / "s.yaml").write_text(SEQUENCE % (more, f": {solve}" if solve else ""))
-        station = "\n".join(kept) + f"\ncollimator: {{{collimator}}}\n"
+        station = without(PLAIN, "collimator") + f"collimator: {{{collimator}}}\n"
         (tmp_path / "a" / "b.yaml").write_text(station)
         files = (str(tmp_path / "a" / "s.yaml"), str(tmp_path / "a" / "b.yaml"))
         return make_plan(*load_documents(*files, settings), today=options.pop("today", TODAY), **options)

@@ -8,12 +8,12 @@ import pytest
 from filled_stations import filled_example
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from station_texts import PLAIN
+from station_texts import IDEAL, PLAIN, document_of
 
 from bench.base.errors import ScriptError
 from bench.measure.camera_kinds import periods_in_window, recording_duration_s
 from bench.plan.plan import POSE_BYTES, REPORT_BYTES, load_documents, make_plan
-from bench.stations.station import SHIPPED_STATIONS, Station
+from bench.stations.station import SHIPPED_STATIONS
 from bench.wording.plan_text import render_plan
 from drivers.stage.motion import travel_time_s
 from sequences.errors import DocumentFaults
@@ -21,7 +21,7 @@ from sequences.reader import check_document
 from sequences.schema import Sequence
 
 SEQUENCES = sorted((Path(__file__).parents[4] / "sequences").glob("*.yaml"))
-STATION = check_document(PLAIN.encode(), "b.yaml", Station)
+STATION = document_of(PLAIN)
 HEAD = "format: starbench/sequence/1\nname: test\n"
 
 
@@ -35,7 +35,7 @@ def faults(text: str, station=STATION) -> list[str]:
 
 def station_with(old: str, new: str):
     assert old in PLAIN
-    return check_document(PLAIN.replace(old, new).encode(), "b.yaml", Station)
+    return document_of(PLAIN.replace(old, new))
 
 
 def as_filled_in(station: str, folder: Path) -> str:
@@ -179,7 +179,7 @@ def test_the_limits_themselves_are_within_and_a_hair_short_of_a_period_still_cou
 
 def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
     begin, end = PLAIN.index("    tilt:"), PLAIN.index("light:\n")
-    turntable = check_document((PLAIN[:begin] + PLAIN[end:]).encode(), "b.yaml", Station)
+    turntable = document_of(PLAIN[:begin] + PLAIN[end:])
     faults_of = {
         path.stem: make_plan(load_documents(path.stem, "simulated")[0], turntable).faults
         for path in SEQUENCES
@@ -348,7 +348,7 @@ def test_a_limit_of_a_result_that_the_run_does_not_estimate_is_refused(result, m
 
 
 def test_a_limit_of_the_station_counts_too_and_needs_a_result():
-    limited = check_document((PLAIN + "limits: [{result: k3, upper: 1}]\n").encode(), "b.yaml", Station)
+    limited = document_of(PLAIN + "limits: [{result: k3, upper: 1}]\n")
     with_report = SOLVED % ("fx", "spherical", "  - report\n")
     assert "the station limits k3: " in faults(with_report, limited)[0]
     assert any("limits need a" in fault for fault in faults(SOLVED % ("fx", "spherical", "")))
@@ -364,21 +364,16 @@ def test_a_limit_of_the_station_counts_too_and_needs_a_result():
     ],
 )
 def test_a_wrong_key_of_the_simulation_is_found_by_the_plan_at_its_place(section, fault_text):
-    text = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text()
-    station = check_document(
-        text.replace("simulation: {}", f"simulation: {section}").encode(), "b.yaml", Station
-    )
+    station = document_of(IDEAL.replace("simulation: {}", f"simulation: {section}"))
     messages = faults(GOOD, station)
     assert len(messages) == bool(fault_text)
-    assert all(fault_text in fault and fault.startswith("b.yaml:8:") for fault in messages)
+    assert all(fault_text in fault and fault.startswith("station.yaml:8:") for fault in messages)
 
 
 def test_an_axis_that_the_simulated_stage_lacks_is_named_by_the_plan():
-    text = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text()
-    (tilt,) = re.findall(r"\n    tilt:\n(?:      .*\n)+", text)
+    (tilt,) = re.findall(r"\n    tilt:\n(?:      .*\n)+", IDEAL)
     roll = tilt.replace("tilt:", "roll:").replace("100102", "100103").replace("device: 2", "device: 3")
-    station = check_document(text.replace(tilt, tilt + roll.lstrip("\n")).encode(), "b.yaml", Station)
-    (fault,) = faults(GOOD, station)
+    (fault,) = faults(GOOD, document_of(IDEAL.replace(tilt, tilt + roll.lstrip("\n"))))
     assert "no axis roll" in fault
 
 

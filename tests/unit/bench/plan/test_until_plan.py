@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 from flat import flatten
-from station_texts import PLAIN
+from station_texts import PLAIN, without
 
 from bench.base.errors import ScriptError, UsageError
 from bench.batch.batch_plan import read_job, read_queue
@@ -73,9 +73,8 @@ def test_a_chosen_pose_has_its_angles_from_the_journal_and_others_turn_every_axi
 
 
 def test_it_cannot_begin_from_nothing_without_expectations(tmp_path):
-    kept = [line for line in PLAIN.splitlines() if not line.startswith("expected:")]
     station = tmp_path / "b.yaml"
-    station.write_text("\n".join(kept) + "\n")
+    station.write_text(without(PLAIN, "expected"))
     assert not planned(tmp_path, "{expanded_fx_px: 1}").faults
     (message,) = {fault.message for fault in planned(tmp_path, "{expanded_fx_px: 1}", station=station).faults}
     assert "at least 2 poses" in message

@@ -1,12 +1,11 @@
 """The ledger: every run is in it, however it ended, and what is taken out of it shows."""
 
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from journals import CLOCKS
+from running import python
 
 from bench.base.errors import JournalBroken
 from bench.evidence.seal import seal
@@ -77,9 +76,7 @@ def test_processes_that_begin_at_once_get_numbers_of_their_own(tmp_path):
     )
 
     def process(_):
-        return subprocess.run(
-            [sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True
-        ).stdout
+        return python("-c", code, tmp_path).stdout
 
     with ThreadPoolExecutor(3) as pool:
         numbers = sorted(int(n) for output in pool.map(process, range(3)) for n in output.split())

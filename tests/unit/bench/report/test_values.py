@@ -1,6 +1,5 @@
 """The report prints every number of the results, each value with its uncertainty."""
 
-import copy
 import json
 import re
 from decimal import Decimal
@@ -69,8 +68,7 @@ def test_each_number_of_the_results_is_printed(data, html, path):
     assert changed != printed_text(html)
 
 
-def test_the_expanded_uncertainty_takes_the_factor_that_few_poses_ask_for(data):
-    results = copy.deepcopy(dict(data.results))
+def test_the_expanded_uncertainty_takes_the_factor_that_few_poses_ask_for(results):
     results["calibration"]["coverage_factor"] = 3.5
     words = printed_text(render_report(ReportData(results)))
     assert words[words.index("focal length, along rows") + 2] == "± 7.5"  # 3.5 * 2.13
@@ -79,8 +77,7 @@ def test_the_expanded_uncertainty_takes_the_factor_that_few_poses_ask_for(data):
     assert "± 7.5" in compared
 
 
-def test_a_collimator_s_imperfections_are_named_with_their_uncertainty(data):
-    results = copy.deepcopy(dict(data.results))
+def test_a_collimator_s_imperfections_are_named_with_their_uncertainty(results):
     results["calibration"]["model"] = "pupil"
     results["calibration"]["collimator"]["pupil_shift"] = -0.0712
     results["calibration"]["sigma"]["pupil_shift"] = 0.0052

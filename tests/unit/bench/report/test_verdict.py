@@ -1,6 +1,5 @@
 """What a report says first: the verdict, the worst corner, the stars' support, the change since the last calibration."""
 
-import copy
 import re
 from dataclasses import replace
 
@@ -37,8 +36,8 @@ def test_gates_that_fail_and_reservations_change_it(data):
     assert judged.line == "Calibrated, with reservations. Pose 2 was skipped."
 
 
-def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not(data):
-    results = copy.deepcopy(dict(data.results)) | {"holds": ["Held by ada@lab for 24 s before step 26."]}
+def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not(data, results):
+    results |= {"holds": ["Held by ada@lab for 24 s before step 26."]}
     doubt, remark = "Views differ 3.5 times more than star noise explains.", "The radial model predicts best."
     results["calibration"] |= {"notes": [doubt, remark], "remarks": [remark]}
     judged = verdict_with(type(data)(results))
@@ -50,8 +49,7 @@ def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not
     assert "Held by ada@lab" in page
 
 
-def test_without_convergence_no_value_is_stated(data):
-    results = copy.deepcopy(dict(data.results))
+def test_without_convergence_no_value_is_stated(data, results):
     results["calibration"]["converged"] = False
     judged = verdict(results)
     assert (judged.kind, judged.headline) == ("fail", "Not calibrated.")
@@ -68,8 +66,7 @@ def test_results_of_earlier_versions_still_name_a_worst_corner(data):
     assert verdict_with(data, previous=first).sentences[-1] == first["why_not"]
 
 
-def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
-    results = copy.deepcopy(dict(data.results))
+def test_a_change_beyond_its_uncertainty_is_told_with_its_size(results):
     change_then = results["previous"]["change"]
     results["previous"]["change"] = replace(change_then, largest_ratio=2.4, px_there=0.31, largest_px=0.44)
     results["previous"]["calibration"]["camera"]["fx"] -= 20
@@ -81,10 +78,10 @@ def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
     assert {row["normalised"] for row in others} == {"0.00"}
 
 
-def test_what_a_person_did_stands_first_once_and_a_right_result_is_not_called_good(data):
+def test_what_a_person_did_stands_first_once_and_a_right_result_is_not_called_good(data, results):
     cause = Cause(FOCUSED, 80.0, 0.14, 0.002, "%", before="left", pose="right")
     sentence = cause_sentence(cause)
-    results = copy.deepcopy(dict(data.results)) | {"causes": [cause.to_dict()]}
+    results |= {"causes": [cause.to_dict()]}
     results["calibration"] |= {"notes": [sentence]}
     judged = verdict_with(type(data)(results))
     assert (judged.kind, judged.headline) == ("marginal", "Calibrated, with reservations.")

@@ -2,6 +2,7 @@
 
 import os
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from journals import CLOCKS
@@ -196,18 +197,17 @@ def test_a_command_to_a_run_that_is_ending_is_refused_as_too_late(run, monkeypat
 
 def test_testing_the_lock_of_a_run_does_not_block_others(tmp_path):
     RunFolder.create(tmp_path / "run").close()
-    stop = threading.Event()
 
     def ask():
-        while not stop.is_set():
+        while not made:
             is_locked(tmp_path / "run")
 
-    asking = threading.Thread(target=ask)
-    asking.start()
-    try:
-        for _ in range(20):
-            RunFolder.create(tmp_path / "run").close()
-    finally:
-        stop.set()
-        asking.join()
+    made = []
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(ask)
+        try:
+            for _ in range(20):
+                RunFolder.create(tmp_path / "run").close()
+        finally:
+            made.append(20)
     assert not is_locked(tmp_path / "run")

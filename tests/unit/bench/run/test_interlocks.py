@@ -5,11 +5,11 @@ from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import pytest
+from station_texts import PLAIN, station_of
 
 from bench.base.clock import Interrupted, VirtualClock
 from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks
 from bench.run.run_context import interlocks_of
-from bench.stations.station import Station
 from bench.stations.station_fields import (
     CameraTemperatureConfig,
     DiskSpaceConfig,
@@ -18,7 +18,6 @@ from bench.stations.station_fields import (
     InterlocksConfig,
 )
 from sequences.errors import DocumentFaults
-from sequences.reader import check_document
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
 
@@ -97,20 +96,6 @@ def test_an_open_door_interrupts_devices_at_work_and_nothing_else(tmp_path):
     assert interlocks.take_interruption().interlock.name == "door"
 
 
-STATION = """\
-format: starbench/station/1
-name: Bench
-simulation: {}
-stage:
-  driver: zaber_ascii
-  port: sim:gimbal
-  axes: {pan: {device: 1, serial: 1, microsteps_per_deg: 6400, limits_deg: [-5, 5], speed_deg_s: 4, acceleration_deg_s2: 20}}
-light: {driver: scpi, port: sim:light}
-camera: {driver: simulated_evk4, address: sim:camera, serial: 1}
-interlocks: %s
-"""
-
-
 @pytest.mark.parametrize(
     ("limits", "wrong"),
     [
@@ -124,13 +109,13 @@ interlocks: %s
 )
 def test_a_station_file_with_contradictory_interlock_limits_is_refused(limits, wrong):
     with pytest.raises(DocumentFaults) as caught:
-        check_document((STATION % limits).encode(), "station.yaml", Station)
+        station_of(f"{PLAIN}\ninterlocks: {limits}\n")
     assert any(wrong in str(fault) for fault in caught.value.faults)
 
 
 def test_a_station_has_the_interlocks_that_it_names(tmp_path):
     text = "{door: {path: /x}, device_lost: {retry_s: 7}, disk_space: {min_free_gb: 1, release_gb: 2, max_hold_s: 90}}"
-    configured = check_document((STATION % text).encode(), "station.yaml", Station).value.interlocks
+    configured = station_of(f"{PLAIN}\ninterlocks: {text}\n").interlocks
     sensors = SimpleNamespace(camera_c=None, last_mev_s=None, dark_mev_s=None, reopen=None)
     door, space, lost = interlocks_of(configured, tmp_path, sensors)
     assert [i.name for i in (door, space, lost)] == ["door", "disk_space", "device_lost"]

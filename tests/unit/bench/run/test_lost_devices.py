@@ -32,13 +32,8 @@ def test_a_bench_that_is_not_ready_and_whose_stage_falls_silent_is_not_said_to_h
     tmp_path, capsys
 ):
     scene = Scene(tmp_path)
-
-    def hook(name):
-        if name == "stage.stop":
-            raise ReplyTimeout("silent")
-        return (lambda _: ["the lamp is hot"]) if name == "light.faults" else None
-
-    scene.hook = hook
+    scene.errors = {"stage.stop": ReplyTimeout("silent")}
+    scene.hook = lambda name: (lambda _: ["the lamp is hot"]) if name == "light.faults" else None
     show_run(scene.run())
     output = "".join(capsys.readouterr())
     assert "lamp is hot" in output
@@ -78,14 +73,8 @@ def test_a_device_that_stays_lost_ends_the_run_in_time(tmp_path):
 
 def test_another_device_in_its_place_is_refused(tmp_path):
     scene = Scene(tmp_path, station=LOST_WORDS)
-
-    def hook(name):
-        if name == "stage.move_to":
-            raise PortLost("gone")
-        if name == "open" and scene.opened:
-            raise WrongDevice("another one")
-
-    scene.hook = hook
+    scene.errors = {"stage.move_to": PortLost("gone")}
+    scene.fail_at("open", 2, WrongDevice("another one"))
     end = scene.run()
     assert end.how == "failed"
     assert "another one" in end.why
@@ -94,19 +83,11 @@ def test_another_device_in_its_place_is_refused(tmp_path):
 def test_a_device_that_is_lost_in_the_same_step_again_and_again_ends_the_run(tmp_path):
     """A camera that opened again each time and sent nothing was recorded 59 times; the run did not end."""
     scene = Scene(tmp_path, station=LOST_WORDS)
-    calls = []
-
-    def hook(name):
-        if name == "camera.record":
-            calls.append(name)
-            assert len(calls) < 50
-            raise CameraLost("it has sent nothing")
-
-    scene.hook = hook
+    scene.errors = {"camera.record": CameraLost("it has sent nothing")}
     end = scene.run()
     assert end.how == "failed"
     assert "it has sent nothing" in end.why
-    assert len(calls) == 6
+    assert scene.calls.count("camera.record") == 6
 
 
 # ---------------------------------------------------------------- left

@@ -17,6 +17,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from quick_runs import THREE
 from rehearsed import Scene, with_runner
 
 from bench.base.clock import VirtualClock
@@ -39,7 +40,6 @@ from drivers.errors import (
 )
 
 POSES = 3
-THREE = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
 PLACES = (
     "open",
     "stage.identify",
@@ -147,7 +147,8 @@ class Life(RuleBasedStateMachine):
         self.scene.hook, self.scene.runner = hook, None
         self.processes += 1
         self._begin_s = self.scene.clock.utc_now()
-        with self._time_that_shuts_doors_and_lets_go():
+        with pytest.MonkeyPatch.context() as patch:
+            self._let_time_shut_doors_and_end_holds(patch)
             try:
                 self.ended = self.scene.run(journal_type=self._journal_of_a_mortal()).how
             except Died:
@@ -188,9 +189,8 @@ class Life(RuleBasedStateMachine):
 
         return Mortal
 
-    def _time_that_shuts_doors_and_lets_go(self):
+    def _let_time_shut_doors_and_end_holds(self, patch):
         """A hold ends after a while, a door is shut after its time."""
-        patch = pytest.MonkeyPatch()
         sleep, life = VirtualClock.sleep, self
 
         def passing(clock, seconds):
@@ -203,7 +203,6 @@ class Life(RuleBasedStateMachine):
             sleep(clock, seconds)
 
         patch.setattr(VirtualClock, "sleep", passing)
-        return _Undoing(patch)
 
     def _open_door(self, shut_after_s):
         self.door.write_text("0")
@@ -248,17 +247,6 @@ class Life(RuleBasedStateMachine):
 
 
 ALLOWED = {(source, target) for _, sources, target in EDGES for source in sources}
-
-
-class _Undoing:
-    def __init__(self, patch):
-        self._patch = patch
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._patch.undo()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,5 +1,6 @@
 """Status of a run, read from its folder alone; its last picture; commands at the last moment."""
 
+import functools
 import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -27,22 +28,21 @@ from calib.view import View
 BEGUN = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 
 
-@pytest.fixture(scope="module")
-def planned():
+@functools.cache
+def plan():
     return make_plan(*load_documents("three_pose", "simulated")).to_dict()
 
 
 class Run:
     """A run folder and its journal, of a process that goes on or has died."""
 
-    def __init__(self, path, planned):
+    def __init__(self, path):
         self.folder = RunFolder.create(path)
         self.path = path
         self.now = BEGUN
-        self.folder.write_atomic("plan.json", json.dumps(planned).encode())
-        self.journal = Journal.create(
-            self.folder.journal_path, utc_now=lambda: self.now, monotonic=lambda: 0.0
-        )
+        self.folder.write_atomic("plan.json", json.dumps(plan()).encode())
+        clocks = {"utc_now": lambda: self.now, "monotonic": lambda: 0.0}
+        self.journal = Journal.create(self.folder.journal_path, **clocks)
         self.tell(Event.RUN_STARTED, id="run-7", simulated=True)
 
     def tell(self, event, **data):
@@ -57,29 +57,29 @@ class Run:
 
 
 @pytest.fixture
-def run(tmp_path, planned):
-    run = Run(tmp_path / "run", planned)
+def run(tmp_path):
+    run = Run(tmp_path / "run")
     yield run
     run.die()
 
 
-def test_a_running_run_shows_state_pose_and_time_left(run, planned):
+def test_a_running_run_shows_state_pose_and_time_left(run):
     run.tell(Event.ENTERING, state="recording", pose=2)
     status = run.status(after_s=3.0)
     assert status.running
     assert (status.state, status.pose, status.pose_name, status.poses) == ("recording", 2, "right", 3)
-    assert status.left_s == pytest.approx(planned["duration_s"] - 3.0, abs=0.1)
+    assert status.left_s == pytest.approx(plan()["duration_s"] - 3.0, abs=0.1)
     assert "pose 2 of 3 (right)" in status_text(status)
     assert "SIMULATED" in status_text(status)
     assert status.advice.endswith("abort")
     assert json.loads(json.dumps(status.to_dict(), allow_nan=False))["schema"] == "starbench/status/1"
 
 
-def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
+def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run):
     run.tell(Event.COMMANDED, id="x", word="hold", by="ada@lab", taken=True, why="")
     status = run.status(after_s=1000.0)
     assert status.held_by == "ada@lab"
-    assert status.left_s == pytest.approx(planned["duration_s"], abs=0.1)
+    assert status.left_s == pytest.approx(plan()["duration_s"], abs=0.1)
     assert "HELD by ada@lab" in status_text(status)
     assert status.advice.endswith("release")
 
@@ -92,9 +92,9 @@ def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
     ],
     ids=["an interlock", "a question"],
 )
-def test_while_a_run_waits_its_time_left_does_not_pass(run, planned, event, data):
+def test_while_a_run_waits_its_time_left_does_not_pass(run, event, data):
     run.tell(event, **data)
-    assert run.status(after_s=1000.0).left_s == pytest.approx(planned["duration_s"], abs=0.1)
+    assert run.status(after_s=1000.0).left_s == pytest.approx(plan()["duration_s"], abs=0.1)
 
 
 def test_a_sealed_run_whose_journal_was_emptied_is_not_called_interrupted_or_finished(run):

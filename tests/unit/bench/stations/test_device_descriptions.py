@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from station_texts import without
 
 from bench.stations.device_locks import serial_devices
 from bench.stations.station import load_station
@@ -39,6 +40,12 @@ def faults_of(path: Path, read=read_stage_protocol) -> str:
     with pytest.raises(DocumentFaults) as caught:
         read(path)
     return str(caught.value)
+
+
+def station_with(folder: Path, old: str, new: str):
+    """The station with another line."""
+    (folder / "station.yaml").write_text(STATION.replace(old, new, 1))
+    return load_station(str(folder / "station.yaml")).value
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED_DESCRIPTIONS.glob("*.yaml")), ids=lambda path: path.stem)
@@ -98,9 +105,7 @@ def test_a_missing_shipped_description_is_named() -> None:
 
 def test_a_station_uses_descriptions_beside_it_and_its_devices_are_locked_by_their_numbers(tmp_path) -> None:
     (tmp_path / "mine.yaml").write_text(PTU.replace("maker: FLIR", "maker: Mine"))
-    path = tmp_path / "bench.yaml"
-    path.write_text(STATION.replace("protocol: flir_ptu", "protocol: mine.yaml"))
-    station = load_station(str(path)).value
+    station = station_with(tmp_path, "protocol: flir_ptu", "protocol: mine.yaml")
     assert station.stage.described.maker == "Mine"
     assert serial_devices(station) == ("Mine E1042", "Starbench SB0001")
     kept = description_documents(station)
@@ -111,15 +116,15 @@ def test_a_station_uses_descriptions_beside_it_and_its_devices_are_locked_by_the
 
 
 def test_a_run_folder_uses_its_own_copies(tmp_path) -> None:
-    (tmp_path / "station.yaml").write_text(STATION.replace("protocol: flir_ptu", "protocol: gone.yaml"))
     (tmp_path / "protocol-stage.yaml").write_text(PTU.replace("maker: FLIR", "maker: Copied"))
-    assert load_station(str(tmp_path / "station.yaml")).value.stage.described.maker == "Copied"
+    station = station_with(tmp_path, "protocol: flir_ptu", "protocol: gone.yaml")
+    assert station.stage.described.maker == "Copied"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("protocol: flir_ptu", "protocol: gone.yaml", "bench.yaml:5:13: stage.protocol: there is no file"),
+        ("protocol: flir_ptu", "protocol: gone.yaml", "station.yaml:5:13: stage.protocol: there is no file"),
         ("protocol: flir_ptu", "protocol: microcontroller_light", "wrong kind of document"),
         ("{address: P, ", "{", "stage.axes.pan: address is missing"),
         ("address: T", "address: P", "two axes have the same address"),
@@ -127,10 +132,8 @@ def test_a_run_folder_uses_its_own_copies(tmp_path) -> None:
     ],
 )  # fmt: skip
 def test_a_section_that_does_not_fit_its_description_is_refused(tmp_path, old, new, fault) -> None:
-    path = tmp_path / "bench.yaml"
-    path.write_text(STATION.replace(old, new, 1))
     with pytest.raises(DocumentFaults) as caught:
-        load_station(str(path))
+        station_with(tmp_path, old, new)
     assert fault in str(caught.value)
 
 
@@ -138,19 +141,13 @@ def test_an_axis_of_which_a_reply_tells_nothing_is_named(tmp_path) -> None:
     (tmp_path / "mine.yaml").write_text(
         PTU.replace('{counts:integer}"}', '{counts_p:integer} {counts_x:integer}"}', 1)
     )
-    path = tmp_path / "bench.yaml"
-    path.write_text(STATION.replace("protocol: flir_ptu", "protocol: mine.yaml"))
     with pytest.raises(DocumentFaults, match="axis 'T'"):
-        load_station(str(path))
+        station_with(tmp_path, "protocol: flir_ptu", "protocol: mine.yaml")
 
 
 def test_a_light_without_sync_output_and_a_device_without_serial_number_are_told(tmp_path) -> None:
-    text = LIGHT[: LIGHT.index("  - quantity: sync")]
-    text = "\n".join(line for line in text.splitlines() if not line.startswith("serial:"))
-    (tmp_path / "mine.yaml").write_text(text + "\n")
-    path = tmp_path / "bench.yaml"
-    path.write_text(STATION.replace("protocol: microcontroller_light", "protocol: mine.yaml"))
+    (tmp_path / "mine.yaml").write_text(without(LIGHT[: LIGHT.index("  - quantity: sync")], "serial"))
     with pytest.raises(DocumentFaults) as caught:
-        load_station(str(path))
+        station_with(tmp_path, "protocol: microcontroller_light", "protocol: mine.yaml")
     assert "sync_output: false" in str(caught.value)
     assert "a serial number" in str(caught.value)

@@ -5,7 +5,7 @@ from unittest.mock import create_autospec
 
 import pytest
 from filled_stations import filled_example
-from station_texts import PLAIN
+from station_texts import PLAIN, station_of
 
 from bench.base.clock import BenchClock
 from bench.stations.devices import Devices, simulated_truth
@@ -21,7 +21,6 @@ from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
-from sequences.reader import check_document
 from sequences.script import Flicker
 
 EXAMPLE = filled_example("example_evk4")
@@ -34,8 +33,7 @@ def station_with(section: str) -> Station:
     keys = ("stage", "light", "camera", "target")
     begin = EXAMPLE.index(f"\n{section.partition(':')[0]}:\n")
     after = EXAMPLE.index(f"\n{keys[keys.index(section.partition(':')[0]) + 1]}:\n")
-    text = f"{EXAMPLE[:begin]}\n{section}{EXAMPLE[after:]}"
-    return check_document(text.encode(), "b.yaml", Station).value
+    return station_of(f"{EXAMPLE[:begin]}\n{section}{EXAMPLE[after:]}")
 
 
 AS_MADE = {"rtscts": None, "frame": None, "xonxoff": None}
@@ -135,5 +133,5 @@ def test_the_level_of_a_strobe_controller_is_a_share_of_its_full_percent():
 def test_the_simulated_truth_is_that_of_a_simulated_camera_on_a_simulated_stage_only(where):
     elsewhere = {"stage": ("port: sim:gimbal", "port: /dev/a"), "camera": ("sim:camera", "127.0.0.1:5")}
     text = PLAIN.replace(*elsewhere[where]) if where in elsewhere else PLAIN
-    truth = simulated_truth(check_document(text.encode(), "b.yaml", Station).value, 7)
+    truth = simulated_truth(station_of(text), 7)
     assert (truth is not None) == (where == "neither")

@@ -34,6 +34,20 @@ PORTS = (
 )
 
 
+NOTHING = Discovery((), (), ())
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a station file; return what it says."""
+
+    def write(text):
+        (tmp_path / "bench.yaml").write_text(text)
+        return load_station(str(tmp_path / "bench.yaml")).value
+
+    return write
+
+
 def test_a_port_is_called_by_its_id_where_it_has_one(tmp_path, monkeypatch):
     device = tmp_path / "ttyUSB0"
     device.touch()
@@ -52,11 +66,9 @@ def test_a_port_is_called_by_its_id_where_it_has_one(tmp_path, monkeypatch):
 @pytest.mark.parametrize("stage", CHOICES["stage"])
 @pytest.mark.parametrize("light", CHOICES["light"])
 @pytest.mark.parametrize("ports", [(), PORTS])
-def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, stage, light, ports):
+def test_a_draft_reads_without_a_fault_and_names_what_is_connected(written, stage, light, ports):
     discovery = Discovery(ports, (FoundCamera("neuromorphic_evk4", "00051", "EVK4"),) if ports else (), ())
-    path = tmp_path / "bench.yaml"
-    path.write_text(draft_station(discovery, stage=stage, light=light))
-    station = load_station(str(path)).value
+    station = written(draft_station(discovery, stage=stage, light=light))
     assert (station.stage.driver, station.light.driver) == (stage, light)
     assert station.camera.serial == ("00051" if ports else UNKNOWN_SERIAL)
     if ports:
@@ -81,10 +93,9 @@ TROUBLED = FoundCamera("metavision", "00051", "EVK4", trouble="access denied")
         ((), "pictures", "pictures", ""),
     ],
 )
-def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, cameras, family, driver, named):
-    path = tmp_path / "bench.yaml"
-    path.write_text(draft_station(Discovery((), cameras, ()), stage="zaber_ascii", camera=family))
-    camera = load_station(str(path)).value.camera
+def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(written, cameras, family, driver, named):
+    drafted = draft_station(Discovery((), cameras, ()), stage="zaber_ascii", camera=family)
+    camera = written(drafted).camera
     assert (camera.driver, camera.serial) == (driver, named)
     if driver == "opencv":
         assert camera.source == (WEBCAM.source if cameras else "/dev/v4l/by-id/CHOOSE-A-CAMERA")
@@ -102,7 +113,7 @@ def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
 @pytest.mark.parametrize("light", CHOICES["light"])
 def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage, light):
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station(Discovery((), (), ()), stage=stage, light=light))
+    path.write_text(draft_station(NOTHING, stage=stage, light=light))
     faults = [str(fault) for fault in make_plan(*load_documents("turntable", str(path))).faults]
     assert len(faults) == len(re.findall("ASK-THE|CHOOSE-A|NAME-THE|YOUR-LAB", path.read_text()))
     row = next(n for n, line in enumerate(path.read_text().splitlines(), 1) if UNKNOWN_PORT in line)
@@ -112,16 +123,15 @@ def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage
     assert make_plan(*load_documents("turntable", str(path))).faults == ()
 
 
-def test_sections_that_a_draft_and_each_example_offer_as_comments_are_accepted(tmp_path):
-    drafted = draft_station(Discovery((), (), ()), stage="grbl")
+def test_sections_that_a_draft_and_each_example_offer_as_comments_are_accepted(written):
+    drafted = draft_station(NOTHING, stage="grbl")
     texts = [drafted, *(path.read_text(encoding="utf-8") for path in SHIPPED_STATIONS.glob("example_*.yaml"))]
     for text in texts:
         offered = re.search(r"^# collimator:(\n#   .*)+", text, re.MULTILINE).group()
         assert offered == re.search(r"^# collimator:(\n#   .*)+", drafted, re.MULTILINE).group()
         # A section begins at its name; what is indented below belongs to it.
         used = re.sub(r"^# (?=[a-z_]+:|  )", "", text, flags=re.MULTILINE)
-        (tmp_path / "all.yaml").write_text(filled(used), encoding="utf-8")
-        load_station(str(tmp_path / "all.yaml"))
+        written(filled(used))
 
 
 # ---------------------------------------------------------------- what the devices answer
@@ -141,16 +151,16 @@ def test_sections_that_a_draft_and_each_example_offer_as_comments_are_accepted(t
         2,
     ),
 )
-def test_every_stage_and_every_light_has_a_stand_in_that_can_be_planned(tmp_path, light, driver, stage):
-    path = tmp_path / "practice.yaml"
-    path.write_text(draft_stand_ins(light, stage))
-    station = load_station(str(path)).value
+def test_every_stage_and_every_light_has_a_stand_in_that_can_be_planned(
+    written, tmp_path, light, driver, stage
+):
+    station = written(draft_stand_ins(light, stage))
     assert (station.stage.driver, station.light.driver) == (stage, driver)
     assert set(station.axes) == {"pan", "tilt"}
-    assert make_plan(*load_documents("three_pose", str(path))).faults == ()
+    assert make_plan(*load_documents("three_pose", str(tmp_path / "bench.yaml"))).faults == ()
 
 
-def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
+def test_stage_and_light_are_found_at_whichever_port_they_answer(written, tmp_path):
     clock = BenchClock()
     with SimulatedBench({}, 1) as bench:
         ports = [bench.endpoints["light"], bench.endpoints["gimbal"]]
@@ -158,25 +168,20 @@ def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
     assert (stage.port, light.port) == (ports[1], ports[0])
     assert [axis.microsteps_per_deg for axis in stage.axes] == [None, None]  # a goniometer does not know it
     discovery = Discovery((FoundPort(ports[1], ports[1], "", "", ""),), (), ())
-    path = tmp_path / "bench.yaml"
-    path.write_text(draft_station(discovery, stage="zaber_ascii", asked=(stage, light)))
-    text = path.read_text()
+    text = draft_station(discovery, stage="zaber_ascii", asked=(stage, light))
     assert "-64000 to 64000 microsteps" in text
-    assert load_station(str(path)).value.light.port == ports[0]
+    assert written(text).light.port == ports[0]
     assert ask_stage("zaber_ascii", [str(tmp_path / "nothing")], clock) is None
 
 
-def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controller_its_model(tmp_path):
+def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controller_its_model(written):
     clock = BenchClock()
     axes = {"pan": {"serial": "1", "limit_deg": 9.5}, "tilt": {"serial": "2", "limit_deg": 40}}
     with SimulatedBench({"stage": {"kind": "esp301", **axes}, "light": {"kind": "gardasoft"}}, 1) as bench:
         ports = [bench.endpoints["light"], bench.endpoints["gimbal"]]
         stage, light = ask_stage("esp30x", ports, clock), ask_light("gardasoft", ports, clock)
     assert (stage.port, light.port) == (ports[1], ports[0])
-    path = tmp_path / "bench.yaml"
-    discovery = Discovery((), (), ())
-    path.write_text(draft_station(discovery, stage="esp30x", light="gardasoft", asked=(stage, light)))
-    station = load_station(str(path)).value
+    station = written(draft_station(NOTHING, stage="esp30x", light="gardasoft", asked=(stage, light)))
     assert {
         name: (axis.number, axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()
     } == {"pan": (1, "SN1", (-9.5, 9.5)), "tilt": (2, "SN2", (-12.0, 12.0))}
@@ -186,7 +191,7 @@ def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controlle
 @pytest.mark.parametrize(
     ("driver", "scale"), [("ximc", "ASK-THE-DATA-SHEET"), ("thorlabs_apt", "136533.333,")]
 )
-def test_controllers_with_a_port_for_each_axis_are_asked_for_their_serial_numbers(tmp_path, driver, scale):
+def test_controllers_with_a_port_for_each_axis_are_asked_for_their_serial_numbers(driver, scale):
     with SimulatedBench({"stage": {"kind": driver}}, 1) as bench:
         ports = [bench.endpoints[name] for name in ("light", "gimbal-pan", "gimbal-tilt")]
         stage = ask_stage(driver, ports, BenchClock())
@@ -194,7 +199,7 @@ def test_controllers_with_a_port_for_each_axis_are_asked_for_their_serial_number
         ("pan", ports[1], "100101"),
         ("tilt", ports[2], "100102"),
     ]
-    text = draft_station(Discovery((), (), ()), stage=driver, asked=(stage, None))
+    text = draft_station(NOTHING, stage=driver, asked=(stage, None))
     for axis in stage.axes:
         assert f"{axis.name}: {{port: {axis.port}, serial: {axis.serial}, " in text
     assert text.count(f"_deg: {scale}") == 2
@@ -210,7 +215,7 @@ def test_a_board_is_asked_for_scales_and_travel(others):
     with SimulatedBench({"stage": {"kind": "grbl"}}, 1) as bench:
         stage = ask_stage("grbl", [bench.endpoints[name] for name in (*others, "gimbal")], BenchClock())
         assert stage.ports == {bench.endpoints["gimbal"]}
-    text = draft_station(Discovery((), (), ()), stage="grbl", asked=(stage, None))
+    text = draft_station(NOTHING, stage="grbl", asked=(stage, None))
     for letter, lowest in (("X", -12), ("Y", -6)):
         assert f"{letter}, steps_per_deg: 640, zero_deg: 15, limits_deg: [{lowest}, 12]," in text
 

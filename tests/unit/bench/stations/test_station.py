@@ -5,19 +5,18 @@ from pathlib import Path
 
 import pytest
 from filled_stations import filled_example
-from station_texts import PLAIN
+from station_texts import PLAIN, document_of, station_of
 
 from bench.stations.stages_and_lights import ScpiLightConfig
-from bench.stations.station import SHIPPED_STATIONS, Station, load_station
+from bench.stations.station import SHIPPED_STATIONS, load_station
 from drivers.light import LightSettings
 from sequences.errors import DocumentFaults
-from sequences.reader import check_document
 from sequences.script import Flicker
 
 
 def faults(text: str) -> list[str]:
     with pytest.raises(DocumentFaults) as caught:
-        check_document(text.encode(), "b.yaml", Station)
+        document_of(text)
     return [str(fault) for fault in caught.value.faults]
 
 
@@ -124,12 +123,12 @@ def test_a_run_with_the_simulated_camera_of_another_process_counts_as_simulated(
     text = changed("simulation: {}\n", "")
     for port, elsewhere in (("gimbal", "/dev/a"), ("light", "/dev/b"), ("camera", "127.0.0.1:5")):
         text = text.replace(f"sim:{port}", elsewhere)
-    assert check_document(text.encode(), "b", Station).value.is_simulated
+    assert station_of(text).is_simulated
 
 
 def test_the_simulation_section_has_the_values_json_would_have_but_serial_numbers_stay_text():
     section = "simulation: {camera_serial: 123, camera: {fx: 3e3, k1: .06}, a: [true, 5, '6'], b: null, c: 007, d: NaN, e: 1e999, f: -2}"
-    station = check_document(changed("simulation: {}", section).encode(), "b", Station).value
+    station = station_of(changed("simulation: {}", section))
     assert station.simulation == {
         "camera_serial": "123",
         "camera": {"fx": 3000.0, "k1": 0.06},
@@ -153,7 +152,7 @@ def test_the_simulated_bench_is_told_the_station_s_own_target():
         "simulation: {}",
         "target: {tag_family: tag25h9, polarity: negative}\nsimulation: {reticle: {bow_mm: 1}}",
     )
-    world = check_document(text.encode(), "b", Station).value.simulated_world
+    world = station_of(text).simulated_world
     assert world["target"]["tag_family"] == "25h9"
     assert world["target"]["squares"] == [50, 72]
     assert world["reticle"] == {"polarity": "negative", "bow_mm": 1}
@@ -165,5 +164,5 @@ def test_the_section_on_the_page_of_a_device_is_read_without_a_fault(page):
     section = re.search(r"```yaml\n(stage:.*?)```", text, re.DOTALL)
     example = filled_example("example_evk4")
     before, rest = example.split("stage:\n")
-    whole = before + section[1] + "\nlight:\n" + rest.split("light:\n")[1]
-    assert check_document(whole.encode(), page, Station).value.stage.axes["pan"].counts_per_deg > 0
+    station = station_of(before + section[1] + "\nlight:\n" + rest.split("light:\n")[1])
+    assert station.stage.axes["pan"].counts_per_deg > 0

@@ -6,16 +6,14 @@ from datetime import date
 
 import numpy as np
 import pytest
-from station_texts import PLAIN
+from station_texts import PLAIN, station_of, without
 
-from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig
 from sequences.errors import DocumentFaults
-from sequences.reader import check_document
 
 # ---------------------------------------------------------------- budget
 
-WITHOUT_COLLIMATOR = "\n".join(line for line in PLAIN.splitlines() if not line.startswith("collimator:"))
+WITHOUT_COLLIMATOR = without(PLAIN, "collimator")
 
 FULL = """
 budget:
@@ -28,8 +26,8 @@ budget:
 """
 
 
-def station(more: str) -> Station:
-    return check_document((PLAIN + more).encode(), "b.yaml", Station).value
+def station(more: str):
+    return station_of(PLAIN + more)
 
 
 def faults(more: str) -> list[str]:
@@ -44,8 +42,7 @@ def terms(more: str):
 
 
 def with_collimator(section: str) -> str:
-    assert "\ncollimator:" not in WITHOUT_COLLIMATOR
-    read = check_document(f"{WITHOUT_COLLIMATOR}\n{FULL}{section}".encode(), "b.yaml", Station).value
+    read = station_of(f"{WITHOUT_COLLIMATOR}\n{FULL}{section}")
     return {term.kind: term for term in read.budget.terms(read.collimator)}
 
 
@@ -90,7 +87,7 @@ def test_temperatures_come_from_the_section_then_from_the_collimator():
 def test_a_fault_names_line_and_column(section, column, fault_text):
     (fault,) = faults(f"\nbudget:\n  {section}\n")
     line = PLAIN.count("\n") + 3
-    assert fault.startswith(f"b.yaml:{line}:{column}: budget")
+    assert fault.startswith(f"station.yaml:{line}:{column}: budget")
     assert fault_text in fault
 
 
@@ -117,11 +114,9 @@ def test_one_of_bow_and_distortion_alone_says_nothing_about_their_sum(missing):
 
 # ---------------------------------------------------------------- collimator and readings
 
-KEPT = "\n".join(line for line in PLAIN.splitlines() if not line.startswith(("collimator:", "gimbal:")))
 
-
-def knowing(section: str) -> Station:
-    return check_document(f"{KEPT}\n{section}\n".encode(), "b.yaml", Station).value
+def knowing(section: str):
+    return station_of(f"{WITHOUT_COLLIMATOR}\n{section}\n")
 
 
 @pytest.mark.parametrize(("r_mm", "refused"), [(216, True), (217, False), (293, False), (294, True)])
