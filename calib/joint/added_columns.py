@@ -1,6 +1,6 @@
-"""Columns that join the linear model of an optimum: what the likelihood gains by them, and the model that has them.
+"""Views that are displaced along directions of their bases: what the likelihood gains by it, and the model that has it.
 
-A hypothesis about views, such as a shift of a view or a step of the focal length, displaces the bases of some views.
+A shift of a view's stars, or another focal length, is such a displacement.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.joint.marginal import Marginal
+from calib.joint.prior import block_diagonal
 from calib.joint.solve import Optimum
 
 #: A hypothesis is adjusted if it promises so much of 2 log of the likelihood by the linear model. Without a change of
@@ -26,31 +27,36 @@ class AddedColumns:
     information: Array  # (K, K) I
 
     @classmethod
-    def of(cls, optimum: Optimum, columns: Array) -> AddedColumns:
-        """Return what K hypotheses gain at an optimum: each displaces the views, (m, B, K) sizes of their bases.
+    def of_views(cls, optimum: Optimum, directions: Array) -> AddedColumns:
+        """Return what displacing each of m views along (B, D) directions of its basis gains at an optimum: K = m D.
 
         Columns that join a linear model whose posterior is known (Searle, 1971): their own information, less what the
         own fields and the shared unknowns take up.
         """
         marginal, solution = optimum.marginal, optimum.solution
         equations, bench = marginal.equations, marginal.problem.bench
-        own, poses, across = bench.layout.own.places, bench.poses, np.swapaxes(columns, 1, 2)
-        rows = across @ equations.of_views / solution.star_variance
+        own, poses = bench.layout.own.places, bench.poses
+        rows = directions.T @ equations.of_views / solution.star_variance
         basis = equations.maps @ solution.step
         basis[:, own] += solution.fields
-        gradient = (across @ equations.right_of_views[:, :, None])[:, :, 0] / solution.star_variance
+        gradient = equations.right_of_views @ directions / solution.star_variance
         gradient -= (rows @ basis[poses][:, :, None])[:, :, 0]
-        direct, by_own, by_shared = rows @ columns, rows[:, :, own], rows @ equations.maps[poses]
+        direct, by_own, by_shared = rows @ directions, rows[:, :, own], rows @ equations.maps[poses]
         if marginal.uses_readings:
-            turned = marginal.axes @ equations.coupling @ columns
+            turned = marginal.axes @ equations.coupling @ directions
             weighted = np.swapaxes(marginal.reading_weights(solution.squares)[:, :, None] * turned, 1, 2)
             gradient += (weighted @ marginal.readings_left(solution)[:, :, None])[:, :, 0]
             direct = direct + weighted @ turned
             by_own, by_shared = by_own + weighted @ marginal.own_rows, by_shared + weighted @ marginal.rows
-        taken = bench.by_pose(by_own) @ np.swapaxes(solution.own_root, 1, 2)
-        shared = ((bench.by_pose(by_shared) - taken @ solution.between).sum(axis=0)) @ solution.root.T
-        information = direct.sum(axis=0) - (taken @ np.swapaxes(taken, 1, 2)).sum(axis=0) - shared @ shared.T
-        return cls(gradient.sum(axis=0), information)
+        taken = by_own @ np.swapaxes(solution.own_root, 1, 2)[poses]
+        shared = ((by_shared - taken @ solution.between[poses]) @ solution.root.T).reshape(gradient.size, -1)
+        taken, pose = taken.reshape(gradient.size, -1), np.repeat(poses, gradient.shape[1])
+        of_pose = (pose[:, None] == pose) * (taken @ taken.T)
+        return cls(gradient.reshape(-1), block_diagonal(direct) - of_pose - shared @ shared.T)
+
+    def along(self, shares: Array) -> AddedColumns:
+        """Return what L other sizes gain, of which these follow (K, L) shares."""
+        return AddedColumns(shares.T @ self.gradient, shares.T @ self.information @ shares)
 
     def gains(self, sizes: Array) -> Array:
         """Return (N,) by how much -2 log of the likelihood falls with (N, K) sizes."""

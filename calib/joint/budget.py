@@ -7,7 +7,8 @@ samples' means differ is a row of its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,69 +36,55 @@ _ROWS = (
 
 def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     """Return by group the (p,) variances of quantities with (p, S) gradients; they add up to those of the posterior."""
-    parts: dict[str, Array] = {}
+    parts: defaultdict[str, Array] = defaultdict(lambda: np.zeros(len(gradients)))
     if posterior.unsteady is not None:
-        _add_to(parts, {names.UNSTEADY: (gradients @ posterior.unsteady) ** 2 / 3.0})
+        parts[names.UNSTEADY] += (gradients @ posterior.unsteady) ** 2 / 3.0
     means, middle, end = posterior.means @ gradients.T, posterior.mean @ gradients.T, 0
     members = [(posterior, posterior.share, gradients, "")]
     for other in posterior.others:
         members.append((other.posterior, other.share, other.gradients(gradients), other.hypothesis.row))
-        _add_to(
-            parts, {other.hypothesis.row: other.share * ((gradients @ other.rest) * gradients).sum(axis=1)}
-        )
+        parts[other.hypothesis.row] += other.share * ((gradients @ other.rest) * gradients).sum(axis=1)
     differs = max(posterior.others, key=lambda other: other.share).hypothesis.row if posterior.others else ""
     for member, share, slopes, row in members:
         weights = np.array([node.weight for node in member.nodes])
         own_means = means[end : (end := end + len(weights))]
         for node, weight in zip(member.nodes, weights, strict=True):
-            at_node = _at_node(node.solution, slopes)
-            _add_to(parts, {group: share * weight * part for group, part in at_node.items()})
+            for groups, terms in _at_node(node.solution, slopes):
+                for group in dict.fromkeys(groups):
+                    of_group = [name == group for name in groups]
+                    parts[group] += share * weight * (of_group @ terms)
         own = weights @ own_means
-        _add_to(parts, {names.AMPLITUDES: share * (weights @ (own_means - own) ** 2)})
+        parts[names.AMPLITUDES] += share * (weights @ (own_means - own) ** 2)
         if differs:
-            _add_to(parts, {row or differs: share * (own - middle) ** 2})
+            parts[row or differs] += share * (own - middle) ** 2
         if member.pupils is not None:
-            _add_to(parts, {names.PUPILS: share * ((slopes @ member.pupils) * slopes).sum(axis=1)})
-    return parts
+            parts[names.PUPILS] += share * ((slopes @ member.pupils) * slopes).sum(axis=1)
+    return dict(parts)
 
 
-def _add_to(sums: dict[str, Array], parts: Mapping[str, Array]) -> None:
-    """Add (p,) variances by group to those of the same groups."""
-    for group, part in parts.items():
-        sums[group] = sums.get(group, 0.0) + part
-
-
-def _at_node(solution: Solution, gradients: Array) -> dict[str, Array]:
-    """Return the variances by group for given amplitudes."""
+def _at_node(solution: Solution, gradients: Array) -> Iterator[tuple[Sequence[str], Array]]:
+    """Give the (T, p) variances by T terms for given amplitudes, with the group of each term."""
     marginal, squares = solution.marginal, solution.squares
     x = solution.covariance @ gradients.T
     fields = -np.swapaxes(solution.own_root, 1, 2) @ (solution.between @ x)
     stars = (x * (marginal.shared @ x)).sum(axis=0)
     stars = stars + 2.0 * (fields * (marginal.between @ x)).sum(axis=(0, 1))
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
-    parts = {names.STARS: stars / solution.star_variance}
+    yield (names.STARS,), stars[None] / solution.star_variance
     own = marginal.problem.own_information(squares)
-    _add(parts, marginal.problem.bench.layout.own.rows, own[:, None] * (fields**2).sum(axis=0))
+    yield marginal.problem.bench.layout.own.rows, own[:, None] * (fields**2).sum(axis=0)
     if marginal.uses_readings:
         pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]
         pulled = marginal.reading_weights(squares)[:, :, None] * pulled
-        loose = solution.star_variance * marginal.loose[:, :, None]
-        parts[names.STARS] = parts[names.STARS] + (loose * pulled**2).sum(axis=(0, 1))
-        parts[names.READINGS] = (marginal.reading_variance(squares)[:, :, None] * pulled**2).sum(axis=(0, 1))
+        loose, read = solution.star_variance * marginal.loose, marginal.reading_variance(squares)
+        yield (names.STARS,), (loose[:, :, None] * pulled**2).sum(axis=(0, 1))[None]
+        yield (names.READINGS,), (read[:, :, None] * pulled**2).sum(axis=(0, 1))[None]
     stated = marginal.problem.stated(solution.faults)
     seen = stated.rows @ x
-    _add(parts, stated.groups, seen * (stated.inside @ seen))
+    yield stated.groups, seen * (stated.inside @ seen)
     random = marginal.problem.random
     seen = x[random.places]
-    _add(parts, random.groups, seen * (solution.inside @ seen))
-    return parts
-
-
-def _add(sums: dict[str, Array], groups: Sequence[str], parts: Array) -> None:
-    """Add (T, p) parts to those of their groups."""
-    names_of = dict.fromkeys(groups)
-    member = np.array([[group == name for group in groups] for name in names_of], float)
-    _add_to(sums, dict(zip(names_of, member @ parts, strict=True)))
+    yield random.groups, seen * (solution.inside @ seen)
 
 
 def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:

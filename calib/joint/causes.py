@@ -17,6 +17,7 @@ from calib.diagnosis.hand_eye import PARALLAX as PARALLAX_SIGMA
 from calib.diagnosis.hand_eye import check_hand_eye
 from calib.errors import CalibrationError
 from calib.joint.effects.collimator import CENTRE
+from calib.joint.evidence import two_log
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, ORTHOGONAL, READINGS, SCALE_OF
 from calib.joint.posterior import Posterior
 from calib.model import cause as kinds
@@ -69,15 +70,12 @@ def _other_scale(posterior: Posterior, stated: CalibrationOptions) -> tuple[Caus
     if abs(ratio - 1.0) < _CERTIFIED:
         return ()
     sigma = math.sqrt(float(row @ posterior.covariance @ row)) / r_mm
-    cause = Cause(kinds.SCALED, _two_log_odds(1.0 - share), value=ratio, expanded=2.0 * sigma, stated=r_mm)
+    cause = Cause(
+        kinds.SCALED, two_log(share) - two_log(1.0 - share), value=ratio, expanded=2.0 * sigma, stated=r_mm
+    )
     # Small changes of the scale, parallax can imitate; then both are told together.
     parallax = (PARALLAX,) if DOUBTED <= posterior.faults.get(PARALLAX, 0.0) < _MORE_PROBABLE else ()
     return (replace(cause, beside=(CERTIFICATE, *parallax), explains=(*sorted(length), *parallax)),)
-
-
-def _two_log_odds(against: float) -> float:
-    """Return 2 log of the odds for what has a probability against it."""
-    return 2.0 * (math.log1p(-min(against, 0.999)) - math.log(max(against, 1e-30)))
 
 
 def _of_gimbal(result: Calibration, posterior: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:

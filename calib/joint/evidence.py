@@ -23,6 +23,11 @@ def weighed_as(there: Optimum, than: Optimum) -> Marginal:
     return Marginal(problem, same, there.state)
 
 
+def two_log(probability: float) -> float:
+    """Return 2 log of a probability; also of one that is none as a number."""
+    return 2.0 * math.log(max(probability, 1e-30))
+
+
 def value_as_weighed(there: Optimum, than: Optimum) -> float:
     """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then."""
     if there is than:

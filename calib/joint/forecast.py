@@ -86,8 +86,8 @@ class PredictedViews:
         turns, axes = turns_of(self.start.rotations, apart)
         bench = replace(problem.bench, poses=apart, turns=turns, axes=axes, pupils=sines_of(turns))
         state = replace(self._state, fields=np.zeros((len(self.views), self._state.fields.shape[1])))
-        equations = bench.linearised(state)
-        own = normal_of_poses(replace(problem, bench=bench), equations, state, squares)[:, :, :-1]
+        marginal = Marginal(replace(problem, bench=bench), bench.linearised(state), state)
+        own = normal_of_poses(marginal, squares)[:, :, :-1]
         maps = bench.maps.copy()
         maps[:, :, bench.layout.index[DRIFT]] = 0.0  # it is not known when a pose will be recorded
         prior, at = problem.stated().information.copy(), problem.random.places

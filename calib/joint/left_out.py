@@ -9,9 +9,10 @@ import numpy as np
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.effects.by_turn import Along
-from calib.joint.equations import Bench, Equations, State
-from calib.joint.marginal import Problem, Solution
+from calib.joint.equations import Bench, State
+from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.posterior import Posterior
+from calib.joint.prior import block_diagonal
 from calib.joint.solve import CURVED, Optimum, relative_step
 from calib.model.result_parts import RotationErrors
 
@@ -31,7 +32,7 @@ def left_out_rms(optimum: Optimum) -> float | None:
     n = bench.n_poses
     if n < MIN_POSES:
         return None
-    normal = normal_of_poses(marginal.problem, marginal.equations, optimum.state, solution.squares)
+    normal = normal_of_poses(marginal, solution.squares)
     maps = maps_with_gimbal(bench, marginal.equations.maps)
     information = np.linalg.inv(solution.covariance)
     total, count = 0.0, 0.0
@@ -79,25 +80,29 @@ def _as_shown(problem: Problem, pose: int) -> Bench:
     return replace(bench, pupils=places)
 
 
-def normal_of_poses(problem: Problem, equations: Equations, state: State, squares: Array) -> Array:
+def normal_of_poses(marginal: Marginal, squares: Array) -> Array:
     """Return (n, Z, Z + 1) what each pose says of its basis and of the gimbal, its own field eliminated.
 
-    It is the information, and the right-hand side in the last column.
+    It is the information, and the right-hand side in the last column, for (A,) squares of amplitudes.
     """
-    bench, star = problem.bench, squares[problem.hyper.at(amp.STAR)]
+    problem, equations, star = (
+        marginal.problem,
+        marginal.equations,
+        squares[marginal.problem.hyper.at(amp.STAR)],
+    )
+    bench, own = problem.bench, problem.bench.layout.own.places
     size, gimbal = bench.layout.pose.size, len(bench.gimbal_places)
     whole = np.zeros((bench.n_poses, size + gimbal, size + gimbal + 1))
     whole[:, :size, :size], whole[:, :size, -1] = equations.squares / star, equations.right / star
-    if len(equations.off) and bench.readings is not None:
-        noise = squares[problem.hyper.at(amp.READING)] * bench.readings.sigma_rad**2
-        repeats = np.bincount(bench.poses)[bench.poses, None, None]
-        weights = np.linalg.inv(star * np.linalg.inv(equations.turns) + noise * repeats * np.eye(3))
-        rows = np.concatenate([equations.coupling, equations.gimbal, equations.off[:, :, None]], axis=2)
-        whole += bench.by_pose(np.swapaxes(rows[:, :, :-1], 1, 2) @ weights @ rows)
-    expected, between = problem.own_information(squares), whole[:, bench.layout.own.places]
-    own = between[:, :, bench.layout.own.places] + np.diag(expected)
-    between[:, :, -1] -= expected * state.fields
-    return np.asarray(whole - np.swapaxes(between[:, :, :-1], 1, 2) @ np.linalg.solve(own, between))
+    if marginal.uses_readings:
+        columns = [equations.coupling, equations.gimbal, equations.off[:, :, None]]
+        rows = marginal.axes @ np.concatenate(columns, axis=2)
+        weighted = marginal.reading_weights(squares)[:, :, None] * rows
+        whole += bench.by_pose(np.swapaxes(rows[:, :, :-1], 1, 2) @ weighted)
+    expected, between = problem.own_information(squares), whole[:, own]
+    between[:, :, -1] -= expected * marginal.state.fields
+    followed = np.linalg.solve(between[:, :, own] + np.diag(expected), between)
+    return np.asarray(whole - np.swapaxes(between[:, :, :-1], 1, 2) @ followed)
 
 
 def maps_with_gimbal(bench: Bench, maps: Array) -> Array:
@@ -122,25 +127,16 @@ def _follow(solution: Solution) -> tuple[Array, Array]:
     """Return (3 m, S) how the rotations follow the shared unknowns, and (3 m, 3 m) the covariance that views add."""
     marginal, squares = solution.marginal, solution.squares
     bench, equations = marginal.problem.bench, marginal.equations
-    back = np.swapaxes(marginal.axes, 1, 2)
-    loose = solution.star_variance * (back * marginal.loose[:, None]) @ marginal.axes
-    places = bench.layout.own.places
     by_shared = -equations.coupling @ equations.maps[bench.poses]
-    by_field = -equations.coupling[:, :, places]
+    by_field = -equations.coupling[:, :, bench.layout.own.places]
+    loose = solution.star_variance * np.asarray(np.linalg.inv(equations.turns), np.float64)
     if marginal.uses_readings:
-        weights = marginal.reading_weights(squares)
-        kept = (back * (marginal.reading_variance(squares) * weights)[:, None]) @ marginal.axes
-        share = np.eye(3) - kept
-        by_shared, by_field = kept @ by_shared, kept @ by_field
-        by_shared[:, :, bench.gimbal_places] += share @ equations.gimbal
-        loose = kept @ loose
+        kept = marginal.reading_variance(squares) * marginal.reading_weights(squares)
+        by_stars = np.swapaxes(marginal.axes, 1, 2) @ (kept[:, :, None] * marginal.axes)
+        by_shared, by_field, loose = by_stars @ by_shared, by_stars @ by_field, by_stars @ loose
+        by_shared[:, :, bench.gimbal_places] += (np.eye(3) - by_stars) @ equations.gimbal
     direct = by_shared - by_field @ solution.follow[bench.poses]
-    m = len(bench.poses)
-    whole = np.zeros((m, 3, m, 3))
-    for pose in range(bench.n_poses):
-        views = np.flatnonzero(bench.poses == pose)
-        stacked = by_field[views].reshape(3 * len(views), -1)
-        local = (stacked @ solution.own[pose] @ stacked.T).reshape(len(views), 3, len(views), 3)
-        whole[views[:, None], :, views] += local.transpose(0, 2, 1, 3)
-    whole[range(m), :, range(m)] += loose
-    return direct.reshape(3 * m, -1), whole.reshape(3 * m, 3 * m)
+    rows, poses = 3 * len(bench.poses), np.repeat(bench.poses, 3)
+    spread = (by_field @ np.swapaxes(solution.own_root, 1, 2)[bench.poses]).reshape(rows, -1)
+    of_pose = (poses[:, None] == poses) * (spread @ spread.T)
+    return direct.reshape(rows, -1), of_pose + block_diagonal(loose)

@@ -14,7 +14,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.joint.added_columns import PROMISED, AddedColumns, displaced
 from calib.joint.effects.camera import DRIFT
-from calib.joint.evidence import log_evidence
+from calib.joint.evidence import log_evidence, two_log
 from calib.joint.hypotheses import FOCUS_CHANGE
 from calib.joint.knowledge import DOUBTED, STEADY
 from calib.joint.modes import modes_of
@@ -66,10 +66,9 @@ class UnsteadyFocus:
         if self.is_sure:
             off = self.log_f - self._middle
             not_known = self.sigma / np.ptp(off) * off
+        there = displaced(optimum, np.outer(not_known, _focal(optimum)), optimum.eta)
+        beyond = there.solution.step - optimum.solution.step
         at = optimum.marginal.problem.bench.layout.places(("fx", "fy"))
-        basis = np.zeros(optimum.marginal.equations.right_of_views.shape)
-        basis[:, at] = not_known[:, None] * optimum.state.shared[at]
-        beyond = displaced(optimum, basis, optimum.eta).solution.step - optimum.solution.step
         beyond[at] = (np.abs(off).max() + self.sigma) * posterior.mean[at]
         return beyond
 
@@ -99,16 +98,12 @@ def unsteady_focus(posterior: Posterior) -> UnsteadyFocus | None:
     drifts = posterior.faults.get(STEADY, 0.0)
     changes = [_drift(posterior, drifts), *_others(posterior.optimum)]
     changes.sort(key=lambda change: change.worth)
-    best, steady = changes[-1], _two_log(1.0 - drifts)
+    best, steady = changes[-1], two_log(1.0 - drifts)
     if best.worth - steady < _POSSIBLE or np.ptp(best.log_f) < _LEAST_CHANGE:
         return None
     worths = {kinds.UNCHANGED: steady} | {change.kind: change.worth for change in changes}
     beside = [kind for kind, worth in worths.items() if worth > best.worth - ALONE and kind != best.kind]
     return replace(best, evidence=best.worth - steady, beside=tuple(beside[:MOST_BESIDE]))
-
-
-def _two_log(probability: float) -> float:
-    return 2.0 * math.log(max(probability, 1e-30))
 
 
 def _drift(posterior: Posterior, probability: float) -> UnsteadyFocus:
@@ -117,7 +112,7 @@ def _drift(posterior: Posterior, probability: float) -> UnsteadyFocus:
     at = bench.layout.index[DRIFT]
     shares = bench.poses / (bench.n_poses - 1)
     sigma = math.sqrt(posterior.covariance[at, at])
-    return UnsteadyFocus(kinds.FOCUS_CREEPS, posterior.mean[at] * shares, sigma, _two_log(probability))
+    return UnsteadyFocus(kinds.FOCUS_CREEPS, posterior.mean[at] * shares, sigma, two_log(probability))
 
 
 @dataclass(frozen=True)
@@ -131,46 +126,45 @@ class _Change:
 
     def promised(self, views: AddedColumns) -> float:
         """Return by how much 2 log of the evidence grows, all linear; that of a single size without its width."""
-        unit = np.eye(self.shares.shape[1])
-        gradient = self.shares.T @ views.gradient
-        information = self.shares.T @ views.information @ self.shares
-        gain = float(gradient @ np.linalg.solve(information + unit / _CHANGE**2, gradient))
-        return gain - (np.linalg.slogdet(unit + _CHANGE**2 * information)[1] if len(unit) > 1 else 0.0)
+        own, unit = views.along(self.shares), np.eye(self.shares.shape[1])
+        gain = float(own.gradient @ np.linalg.solve(own.information + unit / _CHANGE**2, own.gradient))
+        return gain - (np.linalg.slogdet(unit + _CHANGE**2 * own.information)[1] if len(unit) > 1 else 0.0)
+
+    def weighed(self, optimum: Optimum, before: float) -> UnsteadyFocus:
+        """Return the change of an optimum at its best sizes; ``before`` is 2 log of the evidence without it."""
+        sizes, there, focal = np.zeros(self.shares.shape[1]), optimum, _focal(optimum)
+        for _ in range(_IMPROVED):
+            own = AddedColumns.of_views(there, focal[:, None]).along(self.shares)
+            pull = own.gradient + own.information @ sizes
+            sizes = np.asarray(np.linalg.solve(own.information + _expected(sizes), pull), np.float64)
+            there = displaced(optimum, np.outer(self.shares @ sizes, focal), there.eta)
+        far, log_f = (sizes / _CHANGE) ** 2, self.shares @ sizes
+        width = np.linalg.slogdet(np.eye(len(far)) + _CHANGE**2 * own.information)[1]
+        cost = float(width + (far / (1.0 + far)).sum()) - 2.0 * math.log(self.odds)
+        worth = 2.0 * log_evidence(modes_of(there), there) - before - cost
+        span = self.shares[log_f.argmax()] - self.shares[log_f.argmin()]
+        sigma = math.sqrt(span @ np.linalg.solve(own.information + _expected(sizes), span))
+        return UnsteadyFocus(self.kind, log_f, sigma, worth, self.first)
 
 
-@dataclass(frozen=True)
-class _Changed:
-    """An optimum with a change."""
+def _expected(sizes: Array) -> Array:
+    """Return the (K, K) information of the prior on (K,) sizes: those far out are expected to be so."""
+    return np.diag((_CHANGE * (1.0 + (sizes / _CHANGE) ** 2)) ** -2.0)
 
-    change: _Change
-    sizes: Array  # (K,)
-    information: Array  # (K, K)
-    optimum: Optimum
 
-    @property
-    def cost(self) -> float:
-        """What lowers 2 log of the evidence: odds, the width of the sizes' prior, and how far out they lie."""
-        far = (self.sizes / _CHANGE) ** 2
-        width = np.linalg.slogdet(np.eye(len(far)) + _CHANGE**2 * self.information)[1]
-        return float(width + (far / (1.0 + far)).sum()) - 2.0 * math.log(self.change.odds)
-
-    def weighed(self, before: float) -> UnsteadyFocus:
-        """Return the change with its worth; ``before`` is the logarithm of the evidence without it."""
-        there, log_f = modes_of(self.optimum), self.change.shares @ self.sizes
-        worth = 2.0 * float(log_evidence(there, there.optimum) - before) - self.cost
-        span = self.change.shares[log_f.argmax()] - self.change.shares[log_f.argmin()]
-        covariance = np.linalg.inv(self.information + _expected(self.sizes))
-        sigma = math.sqrt(span @ covariance @ span)
-        return UnsteadyFocus(self.change.kind, log_f, sigma, worth, self.change.first)
+def _focal(optimum: Optimum) -> Array:
+    """Return (B,) how a basis follows the logarithm of the focal lengths."""
+    layout = optimum.marginal.problem.bench.layout
+    at, basis = layout.places(("fx", "fy")), np.zeros(layout.pose.size)
+    basis[at] = optimum.state.shared[at]
+    return basis
 
 
 def _others(optimum: Optimum) -> list[UnsteadyFocus]:
     """Return the likeliest steps between two views, a drift, and own focal lengths of poses, if they promise enough."""
     bench = optimum.marginal.problem.bench
-    m, at = len(bench.poses), bench.layout.places(("fx", "fy"))
-    columns = np.zeros((m, optimum.marginal.equations.of_views.shape[1], m))
-    columns[np.arange(m)[:, None], at, np.arange(m)[:, None]] = optimum.state.shared[at]
-    gains, odds = AddedColumns.of(optimum, columns), FOCUS_CHANGE.odds
+    m, odds = len(bench.poses), FOCUS_CHANGE.odds
+    gains = AddedColumns.of_views(optimum, _focal(optimum)[:, None])
     steps = [
         _Change(kinds.FOCUSED, np.where(np.arange(m) >= k, 1.0, 0.0)[:, None], odds / (m - 1), k)
         for k in range(1, m)
@@ -180,30 +174,8 @@ def _others(optimum: Optimum) -> list[UnsteadyFocus]:
     creeps = _Change(kinds.FOCUS_CREEPS, bench.times[:, None], odds)
     plays = _Change(kinds.FOCUS_PLAYS, np.eye(bench.n_poses)[bench.poses], odds)
     tried = [change for change in (*steps[:_TRIED], creeps, plays) if change.promised(gains) > PROMISED]
-    changed = [_changed(optimum, change, columns) for change in tried]
-    first = optimum.at_best if changed else optimum
-    likely = [
-        there
-        for there in changed
-        if first.solution.value - there.optimum.solution.value > there.cost + _POSSIBLE
-    ]
-    before = log_evidence(modes_of(first), first) if likely else 0.0
-    return [there.weighed(before) for there in likely]
-
-
-def _changed(optimum: Optimum, change: _Change, columns: Array) -> _Changed:
-    """Return the best sizes of a change, by (m, B, m) displacements of each view."""
-    along = columns @ change.shares
-    sizes, there = np.zeros(change.shares.shape[1]), optimum
-    for _ in range(_IMPROVED):
-        added = AddedColumns.of(there, along)
-        expected = _expected(sizes)
-        pull = added.gradient - expected @ sizes
-        sizes = sizes + np.linalg.solve(added.information + expected, pull)
-        there = displaced(optimum, along @ sizes, there.eta)
-    return _Changed(change, sizes, added.information, there)
-
-
-def _expected(sizes: Array) -> Array:
-    """Return the (K, K) information of the prior on (K,) sizes: those far out are expected to be so."""
-    return np.diag((_CHANGE * (1.0 + (sizes / _CHANGE) ** 2)) ** -2.0)
+    if not tried:
+        return []
+    first = optimum.at_best
+    before = 2.0 * log_evidence(modes_of(first), first)
+    return [change.weighed(optimum, before) for change in tried]

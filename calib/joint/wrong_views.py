@@ -1,14 +1,14 @@
 """Views whose stars are not where they should be: ids shifted on the lattice, points with another origin.
 
 A shift of all stars of a view, on the target or in the image, is two columns of its basis. So the equations say what
-the likelihood gains by any shifts, with all unknowns and with the own fields of the poses (`AddedColumns`). Where they
-promise enough, the shifted views are adjusted, and the likelihood ratio decides.
+the likelihood gains by any shifts (`AddedColumns`). Of ids, where they promise enough, the shifted views are adjusted,
+and the likelihood ratio decides.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -17,7 +17,6 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError, NotConverged
 from calib.joint.added_columns import PROMISED, AddedColumns, displaced
-from calib.joint.effects.effect import Places
 from calib.joint.evidence import value_as_weighed
 from calib.joint.hypotheses import OTHER_ORIGIN, SHIFTED_IDS
 from calib.joint.solve import Optimum, search
@@ -47,49 +46,97 @@ _RIVALS = 2
 HALF_PX = 0.5
 
 
-def _shifts(optimum: Optimum, places: Places) -> AddedColumns:
-    """Return what the likelihood gains by a shift of each of m views along two ``places`` of their bases: K = 2 m."""
-    m, size = len(optimum.marginal.problem.bench.poses), optimum.marginal.equations.of_views.shape[1]
-    columns = np.zeros((m, size, 2 * m))
-    for v in range(m):
-        columns[v, places, [2 * v, 2 * v + 1]] = 1.0
-    return AddedColumns.of(optimum, columns)
-
-
-def _shifted_linearly(optimum: Optimum, places: Places, shifts: Array) -> Optimum:
-    """Return the optimum with (m, 2) shifts and the best amplitudes then, all linear."""
-    basis = np.zeros((len(shifts), optimum.marginal.equations.of_views.shape[1]))
-    basis[:, places] = shifts
-    return displaced(optimum, basis, optimum.eta)
+def _with_one(shifts: Array, views: Sequence[int], steps: Sequence[tuple[float, float]]) -> Array:
+    """Return (N, m, 2) the (m, 2) shifts with each step for each of some views instead."""
+    tried = np.repeat(shifts[None], len(views) * len(steps), axis=0).reshape(-1, len(steps), *shifts.shape)
+    for k, view in enumerate(views):
+        tried[k, :, view] = steps
+    return tried.reshape(-1, *shifts.shape)
 
 
 @dataclass(frozen=True)
-class _Moved:
-    """An optimum with some views shifted."""
+class _Shifted:
+    """An optimum with the ids of some views shifted."""
 
-    shifts: Array  # (m, 2) of the ids, columns and rows
-    gain: float  # By how much -2 log of the likelihood falls
+    shifts: Array  # (m, 2) columns and rows
+    worth: float  # 2 log of the odds against right ids, less those from which on it is named
     optimum: Optimum
 
 
-def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array, eta: Array) -> Optimum:
-    """Return the optimum with (m, 2) shifts of the views' stars on the target, from the state of a ``near`` one.
+@dataclass(frozen=True)
+class _Ids:
+    """The ids of m views, which may be shifted."""
 
-    The search of the amplitudes begins at (A,) logarithms ``eta``.
-    """
-    problem = first.marginal.problem
-    stars = problem.bench.stars.moved(shifts_mm, problem.bench.layout.basis)
-    bench, pupils = replace(problem.bench, stars=stars), problem.pupils
-    if pupils is not None:
-        pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(shifts_mm), 1))))
-        bench = replace(bench, pupils=pupils.shown)
-    start = bench.aligned(near.state, first.marginal.equations.weights)
-    return search(replace(problem, bench=bench, pupils=pupils), start, rounds, eta).at_best
+    first: Optimum
+    views: Sequence[View]
+    pitch_mm: float
+    rounds: int
+    again: Callable[[Sequence[View]], Optimum]
+
+    def beside(self, best: _Shifted) -> list[_Shifted]:
+        """Return the most promising shifts of one more view, up to half of them, or other shifts of a shifted one."""
+        layout, shifted, m = (
+            self.first.marginal.problem.bench.layout,
+            best.shifts.any(axis=1),
+            len(self.views),
+        )
+        full = np.count_nonzero(shifted) >= max(1, (m - 1) // 2)
+        tried = _with_one(best.shifts, [v for v in range(m) if best.shifts[v].any() or not full], _SHIFTS)
+        tried = tried[(tried != best.shifts).any(axis=(1, 2))]
+        directions = np.eye(layout.pose.size)[:, layout.pose.shifts]
+        steps = (tried - best.shifts) * self.pitch_mm / layout.basis.reference[2]
+        gains = AddedColumns.of_views(best.optimum, directions).gains(steps.reshape(len(steps), -1))
+        known = (tried.any(axis=2) == shifted).all(axis=1)
+        adjusted = []
+        for k in np.argsort(-gains)[:_ADJUSTED].tolist():
+            if known[k] or gains[k] > _LOOKED_AT:
+                with suppress(NotConverged, np.linalg.LinAlgError):
+                    linear = displaced(best.optimum, steps[k] @ directions.T, best.optimum.eta)
+                    if known[k] or best.optimum.at_best.solution.value - linear.solution.value > PROMISED:
+                        expect(1)
+                        there = self._adjusted(tried[k], best.optimum, linear.eta)
+                        gain = self.first.at_best.solution.value - value_as_weighed(there, self.first)
+                        adjusted.append(_Shifted(tried[k], self._worth(gain, tried[k]), there))
+        return adjusted
+
+    def _worth(self, gain: float, shifts: Array) -> float:
+        each = needed(len(self.views) * len(_SHIFTS)) - 2.0 * math.log(SHIFTED_IDS.odds)
+        return gain - each * float(np.count_nonzero(shifts.any(axis=1)))
+
+    def _adjusted(self, shifts: Array, near: Optimum, eta: Array) -> Optimum:
+        """Return the optimum with (m, 2) shifts, searched from the state of a ``near`` one and from amplitudes."""
+        problem, shifts_mm = self.first.marginal.problem, self.pitch_mm * shifts
+        stars = problem.bench.stars.moved(shifts_mm, problem.bench.layout.basis)
+        bench, pupils = replace(problem.bench, stars=stars), problem.pupils
+        if pupils is not None:
+            pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(shifts_mm), 1))))
+            bench = replace(bench, pupils=pupils.shown)
+        start = bench.aligned(near.state, self.first.marginal.equations.weights)
+        return search(replace(problem, bench=bench, pupils=pupils), start, self.rounds, eta).at_best
+
+    def holds(self, shifted: _Shifted) -> bool:
+        """Tell whether shifted views that are adjusted anew gain as much: a pupil in a hand can imitate a shift.
+
+        Another state may be what gains. So the stars without these shifts are adjusted from there, too.
+        """
+        if self.first.marginal.problem.pupils is None:
+            return True
+        shifts_mm = self.pitch_mm * shifted.shifts
+        moved = [
+            replace(view, target_mm=view.target_mm + shift)
+            for view, shift in zip(self.views, shifts_mm, strict=True)
+        ]
+        try:
+            there = self.again(moved).at_best
+            unmoved = self._adjusted(np.zeros_like(shifts_mm), there, there.eta)
+        except CalibrationError:
+            return False
+        before = min(self.first.at_best.solution.value, unmoved.solution.value)
+        return self._worth(before - there.solution.value, shifted.shifts) >= 0.0
 
 
-def _gain(first: Optimum, there: Optimum) -> float:
-    """Return 2 log of the likelihood ratio of an optimum to the first one."""
-    return first.at_best.solution.value - value_as_weighed(there, first)
+def _worth(shifted: _Shifted) -> float:
+    return shifted.worth
 
 
 def find_shifted_ids(
@@ -97,111 +144,43 @@ def find_shifted_ids(
 ) -> Cause | None:
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
-    The best shift of one view is kept, and the search goes on with the next view, up to half of the views. Where
-    another view would do, too, other sizes of its shift are tried. A pupil that a hand moves can imitate a shift: there
-    each shift is kept only if the views, adjusted ``again``, gain as much.
+    The best shift of one view is kept, and the search goes on with the next view. Where another view would do, too,
+    other sizes of its shift are tried. Where a hand moves the pupil, the views are adjusted ``again``.
     """
-    pitch = _lattice_pitch(views)
-    if len(views) < 2 or pitch is None:
+    pitch_mm = _lattice_pitch(views)
+    if len(views) < 2 or pitch_mm is None:
         return None
-    each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(SHIFTED_IDS.odds)
-
-    def cost(moved: _Moved) -> float:
-        return each * float(np.count_nonzero(moved.shifts.any(axis=1)))
-
-    def worth(moved: _Moved) -> float:
-        return moved.gain - cost(moved)
-
-    by_hand = optimum.marginal.problem.pupils is not None
-
-    def holds(moved: _Moved) -> bool:
-        if not by_hand:
-            return True
-        return _gain_again(optimum, views, pitch * moved.shifts, again, rounds) >= cost(moved)
-
-    best = _Moved(np.zeros((len(views), 2)), 0.0, optimum)
+    ids = _Ids(optimum, views, pitch_mm, rounds, again)
+    best = _Shifted(np.zeros((len(views), 2)), 0.0, optimum)
     every = [best]
-    while more := _shifted(optimum, best, pitch, rounds):
+    while more := ids.beside(best):
         every += more
-        better = max(more, key=worth)
-        if worth(better) <= worth(best) or not holds(better):
+        better = max(more, key=_worth)
+        if better.worth <= best.worth or not ids.holds(better):
             break
         best = better
     if not best.shifts.any():
         return None
-    others = sorted((moved for moved in every if worth(moved) > 0.0 and moved is not best), key=worth)
+    others = sorted((other for other in every if other.worth > 0.0 and other is not best), key=_worth)
     for rival in others[-_RIVALS:]:  # another size of its shift may explain more
-        every += _shifted(optimum, rival, pitch, rounds)
-    likeliest = max(every, key=worth)
-    best = likeliest if likeliest is best or holds(likeliest) else best
-    rivals = [moved for moved in every if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE]
-    shown = [_in_words(views, moved) for moved in (best, *rivals)]
+        every += ids.beside(rival)
+    likeliest = max(every, key=_worth)
+    best = likeliest if likeliest is best or ids.holds(likeliest) else best
+    rivals = [other for other in every if other.shifts.any() and other.worth > best.worth - DECISIVE]
+    shown = [_in_words(views, shifted.shifts) for shifted in (best, *rivals)]
     if len(views) == 2:  # what all views have in common is another centre
-        shown += [_in_words(views, replace(best, shifts=best.shifts - best.shifts.sum(axis=0)))]
-    return Cause(kinds.IDS, worth(best) + DECISIVE, axis=", or ".join(dict.fromkeys(shown)))
+        shown += [_in_words(views, best.shifts - best.shifts.sum(axis=0))]
+    return Cause(kinds.IDS, best.worth + DECISIVE, axis=", or ".join(dict.fromkeys(shown)))
 
 
-def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_Moved]:
-    """Return the optima with the most promising shifts of one more view, or with another shift of a shifted one."""
-    layout, count = first.marginal.problem.bench.layout, len(best.shifts)
-    full = np.count_nonzero(best.shifts.any(axis=1)) >= max(1, (count - 1) // 2)
-    tried = np.repeat(best.shifts[None], count * len(_SHIFTS), axis=0).reshape(count, len(_SHIFTS), count, 2)
-    for v in range(count):
-        tried[v, :, v] = _SHIFTS
-    open_views = [v for v in range(count) if best.shifts[v].any() or not full]
-    hypotheses = tried[open_views].reshape(-1, count, 2)
-    places = layout.pose.shifts
-    steps = (hypotheses - best.shifts) * pitch / layout.basis.reference[2]
-    gains = _shifts(best.optimum, places).gains(steps.reshape(len(steps), -1))
-    gains[~steps.any(axis=(1, 2))] = -np.inf
-
-    by_how_much = (hypotheses.any(axis=2) == best.shifts.any(axis=1)).all(axis=1)  # the views are known
-    shifted = []
-    for k in np.argsort(-gains)[:_ADJUSTED].tolist():
-        if by_how_much[k] or gains[k] > _LOOKED_AT:
-            with suppress(NotConverged, np.linalg.LinAlgError):
-                linear = _shifted_linearly(best.optimum, places, steps[k])
-                promised = best.optimum.at_best.solution.value - linear.solution.value
-                if by_how_much[k] or promised > PROMISED:
-                    expect(1)
-                    there = _moved(first, best.optimum, rounds, pitch * hypotheses[k], linear.eta)
-                    shifted.append(_Moved(hypotheses[k], _gain(first, there), there))
-    return shifted
-
-
-def _gain_again(
-    optimum: Optimum,
-    views: Sequence[View],
-    shifts_mm: Array,
-    again: Callable[[Sequence[View]], Optimum],
-    rounds: int,
-) -> float:
-    """Return what (m, 2) shifts of stars gain if the shifted views are adjusted anew; 0 if they cannot be.
-
-    Another state may be what gains. So the stars without these shifts are adjusted from there, too.
-    """
-    moved = [
-        replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
-    ]
-    try:
-        there = again(moved).at_best
-        unmoved = _moved(optimum, there, rounds, np.zeros_like(shifts_mm), there.eta)
-    except CalibrationError:
-        return 0.0
-    return min(optimum.at_best.solution.value, unmoved.solution.value) - there.solution.value
-
-
-def _in_words(views: Sequence[View], moved: _Moved) -> str:
-    """Return shifts in words, as "view left by 1 column"."""
-    views_in_words = []
-    for view, shift in zip(views, moved.shifts.astype(int).tolist(), strict=True):
-        parts = [
-            f"{number} {name if abs(number) == 1 else name + 's'}"
-            for number, name in zip(shift, ("column", "row"), strict=True)
-            if number
-        ]
-        views_in_words += [f"view {view.name} by {' and '.join(parts)}"] if parts else []
-    return " and ".join(views_in_words)
+def _in_words(views: Sequence[View], shifts: Array) -> str:
+    """Return (m, 2) shifts in words, as "view left by 1 column"."""
+    shown = []
+    for view, shift in zip(views, shifts.astype(int).tolist(), strict=True):
+        numbers = zip(shift, ("column", "row"), strict=True)
+        parts = [f"{number} {name}{'s' * (abs(number) > 1)}" for number, name in numbers if number]
+        shown += [f"view {view.name} by {' and '.join(parts)}"] if parts else []
+    return " and ".join(shown)
 
 
 def _lattice_pitch(views: Sequence[View]) -> float | None:
@@ -222,37 +201,32 @@ def find_other_origins(optimum: Optimum, views: Sequence[View]) -> Cause | None:
     """
     if len(views) < 3:
         return None
-    places = np.array([optimum.marginal.problem.bench.layout.index[name] for name in ("cx", "cy")])
-    shifts = _shifts(optimum, places)
-    ratio, shift = max((_joined(shifts, by) for by in (HALF_PX, -HALF_PX)), key=lambda joined: joined[0])
-    if ratio < 0.0:
-        return None
-    pattern = shift.reshape(-1)
-    information = float(pattern @ shifts.information @ pattern)
-    times = float(pattern @ shifts.gradient) / information
-    if (times - 1.0) ** 2 * information > DECISIVE:
+    layout = optimum.marginal.problem.bench.layout
+    offsets = AddedColumns.of_views(optimum, np.eye(layout.pose.size)[:, layout.places(("cx", "cy"))])
+    groups = [group for by in (HALF_PX, -HALF_PX) for group in _joined(offsets, len(views), by)]
+    evidence, shifts = max(groups, key=lambda group: group[0])
+    size = offsets.along(shifts.reshape(-1, 1))
+    information = float(size.information[0, 0])
+    times = float(size.gradient[0]) / information
+    if evidence < DECISIVE or (times - 1.0) ** 2 * information > DECISIVE:
         return None
     return Cause(
         kinds.ORIGIN,
-        ratio + DECISIVE,
+        evidence,
         value=HALF_PX * times,
         expanded=2.0 * HALF_PX / math.sqrt(information),
         unit="px",
-        axis="right and down" if shift.sum() > 0.0 else "left and up",
-        pose=", ".join(view.name for view, own in zip(views, shift, strict=True) if own.any()),
+        axis="right and down" if shifts.sum() > 0.0 else "left and up",
+        pose=", ".join(view.name for view, own in zip(views, shifts, strict=True) if own.any()),
     )
 
 
-def _joined(shifts: AddedColumns, by: float) -> tuple[float, Array]:
-    """Return 2 log(likelihood ratio) of the best group of views, beyond what is needed, and the (m, 2) shifts, px."""
-    views = len(shifts.gradient) // 2
-    shift, best = np.zeros((views, 2)), (-np.inf, np.zeros((views, 2)))
+def _joined(offsets: AddedColumns, views: int, by: float) -> Iterator[tuple[float, Array]]:
+    """Give the best groups of ever more views: 2 log of their odds, and (m, 2) the shifts, px."""
+    shifts = np.zeros((views, 2))
     for size in range(1, views // 2 + 1):
-        tried = np.array(
-            [np.where(np.eye(views)[i][:, None] > 0, by, shift) for i in range(views) if not shift[i, 0]]
-        )
-        gains = shifts.gains(tried.reshape(len(tried), -1))
-        shift = tried[gains.argmax()]
-        ratio = float(gains.max()) - needed(2 * math.comb(views, size)) + 2.0 * math.log(OTHER_ORIGIN.odds)
-        best = max(best, (ratio, shift), key=lambda ratio_and_shift: ratio_and_shift[0])
-    return best
+        tried = _with_one(shifts, np.flatnonzero(shifts[:, 0] == 0.0).tolist(), [(by, by)])
+        gains = offsets.gains(tried.reshape(len(tried), -1))
+        shifts = tried[gains.argmax()]
+        places = 2.0 * math.log(2 * math.comb(views, size))
+        yield float(gains.max()) - places + 2.0 * math.log(OTHER_ORIGIN.odds), shifts
