@@ -30,6 +30,12 @@ def pytest_configure(config: pytest.Config) -> None:
         remove_stale_kernels()
 
 
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """Only the product is searched for doctests: each worker would import every helper of the tests, too."""
+    helper = collection_path.suffix == ".py" and not collection_path.name.startswith("test_")
+    return True if helper else None
+
+
 @pytest.fixture
 def never_late(monkeypatch: pytest.MonkeyPatch) -> None:
     """Deadlines grow by how late a busy computer wakes this process, which a virtual clock must not know of."""

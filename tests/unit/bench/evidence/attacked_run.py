@@ -23,7 +23,7 @@ CERTIFICATE = (
 #: A method of reference would use no passport.
 END = "  - solve: {distortion: [k1]}\n  - report\n"
 KEPT = {"drawn": {}, "measured": {}, "solved": {}, "truth": {}}
-DOCUMENTS = ("sequence.yaml", "station.yaml", "passport.json")
+PASSPORT = "passport.json"
 
 
 @contextmanager
@@ -50,7 +50,9 @@ def kept_in_memory():
         return once("measured", (path.read_bytes(), repr((elsewhere, frequency_hz, target, more))), make)
 
     def solve_one(job, folder, step, history, measured):
-        kept = [(folder / name).read_bytes() for name in DOCUMENTS if (folder / name).is_file()]
+        # What nothing is calculated from is left out: the folder, the station's name, and the other steps.
+        station = job.station.model_copy(update={"name": ""})
+        kept = (replace(step, where=""), station, (folder / PASSPORT).read_bytes())
         images = [(index, pose.image.decoded().tobytes()) for index, pose in sorted(measured.items())]
         states = [pose.stored["measured_deg"] for _, pose in sorted(history.accepted().items())]
         key = repr((kept, images, states, history.started["sequence"], history.started_utc[:10]))
