@@ -130,8 +130,8 @@ class _Change:
         gain = float(own.gradient @ np.linalg.solve(own.information + unit / _CHANGE**2, own.gradient))
         return gain - (np.linalg.slogdet(unit + _CHANGE**2 * own.information)[1] if len(unit) > 1 else 0.0)
 
-    def weighed(self, optimum: Optimum, before: float) -> UnsteadyFocus:
-        """Return the change of an optimum at its best sizes; ``before`` is 2 log of the evidence without it."""
+    def adjusted(self, optimum: Optimum) -> tuple[UnsteadyFocus, Optimum]:
+        """Return the change at its best sizes, its worth by the likelihood alone, and the optimum with it."""
         sizes, there, focal = np.zeros(self.shares.shape[1]), optimum, _focal(optimum)
         for _ in range(_IMPROVED):
             own = AddedColumns.of_views(there, focal[:, None]).along(self.shares)
@@ -141,10 +141,10 @@ class _Change:
         far, log_f = (sizes / _CHANGE) ** 2, self.shares @ sizes
         width = np.linalg.slogdet(np.eye(len(far)) + _CHANGE**2 * own.information)[1]
         cost = float(width + (far / (1.0 + far)).sum()) - 2.0 * math.log(self.odds)
-        worth = 2.0 * log_evidence(modes_of(there), there) - before - cost
+        worth = optimum.at_best.solution.value - there.solution.value - cost
         span = self.shares[log_f.argmax()] - self.shares[log_f.argmin()]
         sigma = math.sqrt(span @ np.linalg.solve(own.information + _expected(sizes), span))
-        return UnsteadyFocus(self.kind, log_f, sigma, worth, self.first)
+        return UnsteadyFocus(self.kind, log_f, sigma, worth, self.first), there
 
 
 def _expected(sizes: Array) -> Array:
@@ -173,9 +173,13 @@ def _others(optimum: Optimum) -> list[UnsteadyFocus]:
     # The drift of the adjustment is a field on the target, which a large one leaves; this one is exact.
     creeps = _Change(kinds.FOCUS_CREEPS, bench.times[:, None], odds)
     plays = _Change(kinds.FOCUS_PLAYS, np.eye(bench.n_poses)[bench.poses], odds)
-    tried = [change for change in (*steps[:_TRIED], creeps, plays) if change.promised(gains) > PROMISED]
-    if not tried:
-        return []
-    first = optimum.at_best
-    before = 2.0 * log_evidence(modes_of(first), first)
-    return [change.weighed(optimum, before) for change in tried]
+    changes = (*steps[:_TRIED], creeps, plays)
+    adjusted = [change.adjusted(optimum) for change in changes if change.promised(gains) > PROMISED]
+    likely = [(change, there) for change, there in adjusted if change.worth > _POSSIBLE]
+    before = _by_doubts(optimum.at_best) if likely else 0.0
+    return [replace(change, worth=change.worth + _by_doubts(there) - before) for change, there in likely]
+
+
+def _by_doubts(optimum: Optimum) -> float:
+    """Return by how much 2 log of the evidence is larger with all doubts of statements: each takes a while."""
+    return 2.0 * log_evidence(modes_of(optimum), optimum) + optimum.solution.value
