@@ -35,12 +35,9 @@ class Reported:
         layout = posterior.optimum.marginal.problem.bench.layout
         units = np.eye(len(layout.names))[layout.places(self.names)]
         series = float(posterior.mean[layout.index[R8]]) if R8 in layout.index else 0.0
-        taken = np.abs(self.follows * series)
-        halves = [
-            posterior.expanded(row) if follow == 0.0 else posterior.expanded(unit) + more
-            for row, unit, follow, more in zip(self.rows, units, self.follows, taken, strict=True)
-        ]
-        return [float(half / sigma) for half, sigma in zip(halves, sigmas, strict=True)]
+        functions = np.where(self.follows[:, None] == 0.0, self.rows, units)
+        halves = np.array([posterior.expanded(row) for row in functions]) + np.abs(self.follows * series)
+        return [float(factor) for factor in halves / sigmas]
 
 
 def reported(posterior: Posterior, further: tuple[str, ...]) -> Reported:

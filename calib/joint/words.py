@@ -94,13 +94,10 @@ def require_determined(
 
 def _free_unknown(posterior: Posterior, at: int) -> str:
     """Return the unknown whose mere limit contributes most to the variance of another."""
-    marginal = posterior.optimum.marginal
-    layout, slope = marginal.problem.bench.layout, posterior.optimum.solution.covariance[:, at]
-    limits = [
-        statement for statement in marginal.problem.knowledge.statements if statement.name == rows.PRIORS
-    ]
-    parts = [float((limit.rows @ slope)[0] ** 2 / limit.covariance[0, 0]) for limit in limits]
-    return layout.names[int(np.argmax(limits[int(np.argmax(parts))].rows[0]))]
+    problem, slope = posterior.optimum.marginal.problem, posterior.optimum.solution.covariance[:, at]
+    limits = [statement for statement in problem.knowledge.statements if statement.name == rows.PRIORS]
+    widest = max(limits, key=lambda limit: float((limit.rows @ slope)[0] ** 2 / limit.covariance[0, 0]))
+    return problem.bench.layout.names[int(np.argmax(widest.rows[0]))]
 
 
 def notes(result: Calibration, posterior: Posterior) -> tuple[str, ...]:

@@ -75,14 +75,11 @@ class _Ids:
 
     def beside(self, best: _Shifted) -> list[_Shifted]:
         """Return the most promising shifts of one more view, up to half of them, or other shifts of a shifted one."""
-        layout, shifted, m = (
-            self.first.marginal.problem.bench.layout,
-            best.shifts.any(axis=1),
-            len(self.views),
-        )
+        m, shifted = len(self.views), best.shifts.any(axis=1)
         full = np.count_nonzero(shifted) >= max(1, (m - 1) // 2)
         tried = _with_one(best.shifts, [v for v in range(m) if best.shifts[v].any() or not full], _SHIFTS)
         tried = tried[(tried != best.shifts).any(axis=(1, 2))]
+        layout = self.first.marginal.problem.bench.layout
         directions = np.eye(layout.pose.size)[:, layout.pose.shifts]
         steps = (tried - best.shifts) * self.pitch_mm / layout.basis.reference[2]
         gains = AddedColumns.of_views(best.optimum, directions).gains(steps.reshape(len(steps), -1))
@@ -96,10 +93,10 @@ class _Ids:
                         expect(1)
                         there = self._adjusted(tried[k], best.optimum, linear.eta)
                         gain = self.first.at_best.solution.value - value_as_weighed(there, self.first)
-                        adjusted.append(_Shifted(tried[k], self._worth(gain, tried[k]), there))
+                        adjusted.append(_Shifted(tried[k], self._worth_of(gain, tried[k]), there))
         return adjusted
 
-    def _worth(self, gain: float, shifts: Array) -> float:
+    def _worth_of(self, gain: float, shifts: Array) -> float:
         each = needed(len(self.views) * len(_SHIFTS)) - 2.0 * math.log(SHIFTED_IDS.odds)
         return gain - each * float(np.count_nonzero(shifts.any(axis=1)))
 
@@ -132,7 +129,7 @@ class _Ids:
         except CalibrationError:
             return False
         before = min(self.first.at_best.solution.value, unmoved.solution.value)
-        return self._worth(before - there.solution.value, shifted.shifts) >= 0.0
+        return self._worth_of(before - there.solution.value, shifted.shifts) >= 0.0
 
 
 def _worth(shifted: _Shifted) -> float:
