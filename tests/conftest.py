@@ -1,5 +1,6 @@
 """What every test may ask for."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -13,6 +14,9 @@ from hypothesis import settings
 
 from bench.base.kernel_cache import remove_stale_kernels
 from drivers.lateness import Lateness
+
+# What collecting makes stays to the end: a search for cycles among it would take a fifth of the time of each worker.
+gc.disable()
 
 # A shell starts background jobs (`make test &`) with SIGINT ignored, and so would every process that a test starts.
 # Tests of Ctrl-C rely on Python's own handler.
@@ -28,6 +32,12 @@ def pytest_configure(config: pytest.Config) -> None:
     """Kernels that name a module of an earlier version cannot be loaded: they go, as when a command begins."""
     if not hasattr(config, "workerinput"):
         remove_stale_kernels()
+
+
+def pytest_collection_finish() -> None:
+    """From here on Python looks for cycles again, among new objects."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:

@@ -2,7 +2,7 @@
 
 import pytest
 from align_browser import running_chromium
-from running import starbench
+from running import called
 from shared_folder import shared_folder
 
 from tests.hil.direct_stages import VirtualClock
@@ -25,7 +25,7 @@ def three_pose(tmp_path_factory):
 
     def make(folder):
         words = ("run", "three_pose", "-s", "simulated", "--seed", 7, "-o", folder / "run", "--json")
-        ended = starbench(*words, home=folder / "home")
+        ended = called(*words, home=folder / "home")
         for stream in ("stdout", "stderr"):
             (folder / stream).write_text(getattr(ended, stream))
 

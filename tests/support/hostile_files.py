@@ -161,7 +161,8 @@ def _chunk(kind, data):
 
 def png(width, height, rows=0, filling=b"\0"):
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    data = zlib.compress((b"\0" + filling * width) * rows, 1)
+    packed = zlib.compressobj(1)
+    data = b"".join(packed.compress(b"\0" + filling * width) for _ in range(rows)) + packed.flush()
     return b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", head) + _chunk(b"IDAT", data) + _chunk(b"IEND", b"")
 
 

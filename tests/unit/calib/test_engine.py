@@ -62,9 +62,10 @@ def test_ideal_views_give_the_truth_back(bench, model):
 
 
 @pytest.mark.parametrize("count", first_quick([3, 2]))
-def test_noisy_views_give_it_within_the_stated_uncertainty(bench, count):
-    views = bench.views(np.random.default_rng(21), 0.05)[:count]
-    result = calibrate(views)
+def test_noisy_views_give_it_within_the_stated_uncertainty(bench, noisy, count):
+    views, result = noisy
+    if count < len(views):
+        result = calibrate(views := views[:count])
     for name, sigma in result.sigma.items():
         value = result.values[name]
         assert abs(value - bench.truth.get(name, 0.0)) < 4 * sigma
@@ -77,7 +78,7 @@ def test_a_fisheye_lens_can_be_asked_for():
     bench = FisheyeBench(
         fx=700.0, fy=701.0, half_angle_deg=20.0, poses=((-25, 10), (10, -15, 60), (30, 5, 20), (0, 0))
     )
-    result = calibrate(thinned(bench.views(), 8), CalibrationOptions(distortion="fisheye", loss="l2"))
+    result = calibrate(thinned(bench.views(), 8), CalibrationOptions("spherical", distortion="fisheye"))
     assert result.camera.fx == pytest.approx(700.0, rel=1e-5)
     assert result.camera.distortion["kb1"] == pytest.approx(-0.03, abs=1e-4)
     assert result.to_dict()["camera"]["kb2"] == pytest.approx(0.02, abs=1e-3)
@@ -127,14 +128,14 @@ def test_views_of_two_image_sizes_are_refused(bench):
         calibrate([replace(views[0], image_size=(640, 480)), *views[1:]])
 
 
-def test_views_may_hold_lists_as_a_file_gives_them_and_come_from_a_generator(noisy):
-    views, result = noisy
+def test_views_may_hold_lists_as_a_file_gives_them_and_come_from_a_generator(bench):
+    views, options = bench.views(np.random.default_rng(9), 0.05), CalibrationOptions("spherical")
     arrays = ("ids", "points_px", "target_mm", "covariances_px2")
     read = (
         View(view.name, list(view.image_size), *(getattr(view, name).tolist() for name in arrays))
         for view in views
     )
-    assert calibrate(read).values == result.values
+    assert calibrate(read, options).values == calibrate(views, options).values
 
 
 def test_two_views_of_one_name_are_refused(bench):

@@ -111,7 +111,7 @@ def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     assert (cause.kind, shifts_of(cause)) == (kinds.IDS, {("pose 3", -1, 0)})
 
 
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=1, deadline=None)
 @given(count=st.integers(2, 8), seed=st.integers(0, 999), noise_px=st.sampled_from([0.01, 0.05, 0.3]))
 def test_sound_views_are_not_doubted(count, seed, noise_px):
     assert doubts(bench(seed, noise_px, count)) == []
@@ -187,11 +187,11 @@ def moved(view, by):
     ("by", "along"), [(0.5, "right and down"), pytest.param(-0.5, "left and up", marks=pytest.mark.slow)]
 )
 def test_a_few_views_with_another_origin_are_named(by, along):
-    views = bench(4, 0.005, 8)
-    for place in (1, 4):
+    views = bench(4, 0.005, 5)
+    for place in (1, 3):
         views[place] = moved(views[place], by)
     (cause,) = doubts(views)
-    assert (cause.kind, cause.pose, cause.axis) == (kinds.ORIGIN, "pose-002, pose-005", along)
+    assert (cause.kind, cause.pose, cause.axis) == (kinds.ORIGIN, "pose-002, pose-004", along)
     assert cause.value == pytest.approx(0.5, abs=2 * cause.expanded)
 
 

@@ -51,9 +51,7 @@ def test_the_sizes_of_errors_that_a_run_found_replace_the_expected_ones(bench):
 
 
 def test_the_next_pose_lowers_the_worst_uncertainty_more_than_any_other():
-    candidates = [
-        {"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, -2.0, 2.0, 6.0) for tilt in (-2.5, 0.0, 2.5)
-    ]
+    candidates = [{"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, 2.0, 6.0) for tilt in (-2.5, 2.5)]
     (best,) = next_poses(BENCH, POSES[:2], candidates)
     worst = {
         i: forecast(BENCH, [*POSES[:2], pose]).projection_map.worst_px for i, pose in enumerate(candidates)
