@@ -1,7 +1,5 @@
 """Simulated drivers of lights of every family without terminals, on a clock that only the driver's waits turn."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

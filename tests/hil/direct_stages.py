@@ -3,8 +3,6 @@
 Bytes pass straight from a driver to a simulated device behind a line of faults: a night of exchanges in seconds.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Mapping
@@ -298,39 +296,24 @@ def of_thorlabs(counts_per_deg: float) -> Callable[[DirectLine], Stage]:
     return lambda line: ThorlabsStage([line], [axis], clock=line.clock)
 
 
+def of_line(stage: Callable[..., Stage], axis: object, **more: Any) -> Callable[[DirectLine], Stage]:
+    return lambda line: stage(line, [axis], clock=line.clock, **more)
+
+
+ZABER = ZaberAxis(device=1, serial="100101", microsteps_per_deg=6400, **PAN)
 XIMC = XimcAxis(port="", serial="4242", steps_per_deg=100.0, encoder_counts_per_deg=2000.0, **PAN)
+ESP = EspAxis(number=1, serial="SN1263", **PAN)
+GRBL = GrblAxis(letter="X", steps_per_deg=640, zero_deg=16, **PAN)
+FLIR = TextAxis(address="P", counts_per_deg=8e2, **PAN)
 FAMILIES = {
-    "zaber": Family(
-        of_bench("zaber", 6400),
-        lambda line: ZaberStage(
-            line, [ZaberAxis(device=1, serial="100101", microsteps_per_deg=6400, **PAN)], clock=line.clock
-        ),
-    ),
+    "zaber": Family(of_bench("zaber", 6400), of_line(ZaberStage, ZABER)),
     "ximc": Family(
         of_bench("ximc", 25_600, "4242"), lambda line: XimcStage([line], [XIMC], clock=line.clock)
     ),
-    "esp": Family(
-        of_bench("esp301", 10_000, "1263"),
-        lambda line: EspStage(line, [EspAxis(number=1, serial="SN1263", **PAN)], clock=line.clock),
-    ),
-    "grbl": Family(
-        named_board,
-        lambda line: GrblStage(
-            line,
-            [GrblAxis(letter="X", steps_per_deg=640, zero_deg=16, **PAN)],
-            serial="gimbal",
-            clock=line.clock,
-        ),
-    ),
+    "esp": Family(of_bench("esp301", 10_000, "1263"), of_line(EspStage, ESP)),
+    "grbl": Family(named_board, of_line(GrblStage, GRBL, serial="gimbal")),
     "flir": Family(
-        of_bench("flir_ptu", 800, "E1042"),
-        lambda line: TextStage(
-            line,
-            [TextAxis(address="P", counts_per_deg=8e2, **PAN)],
-            FLIR_PTU,
-            serial="E1042",
-            clock=line.clock,
-        ),
+        of_bench("flir_ptu", 800, "E1042"), of_line(TextStage, FLIR, description=FLIR_PTU, serial="E1042")
     ),
     "thorlabs": Family(kdc101, of_thorlabs(PRM1Z8_COUNTS_PER_DEG)),
     "k10cr1": Family(of_bench("thorlabs_apt", 136_533, "27000123"), of_thorlabs(K10CR1_COUNTS_PER_DEG)),

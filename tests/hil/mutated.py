@@ -3,8 +3,6 @@
 The first 13 of Zaber's and the first 6 of XIMC's are those the makers' own clients were tried against.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Final, Protocol

@@ -5,6 +5,7 @@ from pathlib import Path
 from shutil import copyfile
 
 import pytest
+from quick_runs import write_queue
 from running import called
 from shared_folder import shared_folder
 
@@ -15,15 +16,8 @@ from bench.record.run_folder import JOURNAL
 from bench.record.run_index import QUEUE_COPY
 
 ROOT = Path(__file__).parents[2]
-QUEUE = """\
-format: starbench/queue/1
-name: Night
-zone: Europe/Berlin
-start_at: "21:00"
-stop_by: "21:45"
-jobs:
-  - {name: a, sequence: three_pose, station: simulated, times: 3, every_min: 30, seed: 1}
-"""
+TIMES = 'name: Night\nzone: Europe/Berlin\nstart_at: "21:00"\nstop_by: "21:45"\n'
+RUNS = "name: a, sequence: three_pose, station: simulated, times: 3, every_min: 30, seed: 1"
 JOB = "format: starbench/job/1\nname: more\nsequence: three_pose\nstation: simulated\n"
 
 
@@ -32,9 +26,9 @@ def night(tmp_path_factory):
     """Folder of a rehearsed night."""
 
     def make(folder):
-        (folder / "queue.yaml").write_text(QUEUE)
+        queue = write_queue(folder / "queue.yaml", RUNS, head=TIMES)
         (folder / "job.yaml").write_text(JOB)
-        words = ("rehearse", folder / "queue.yaml", "-o", folder / "out", "--begin", "2026-03-01T20:30")
+        words = ("rehearse", queue, "-o", folder / "out", "--begin", "2026-03-01T20:30")
         ended = called(*words, home=folder / "home", status=1)  # no time was left for a-003
         assert "rehearsed in" in ended.stderr
 
@@ -48,11 +42,8 @@ def test_a_queue_is_planned_with_its_times_and_what_there_is_no_time_for(night):
     assert "No time for 1: a-003" in ended.stdout
     assert "2 runs, until Sun 21:30 CET" in ended.stdout
     plan = json.loads(called(*words, "--json", home=night / "home").stdout)
-    assert (plan["opens_utc"], plan["runs"], plan["no_time_for"]) == (
-        "2026-03-01T20:00:00+00:00",
-        2,
-        ["a-003"],
-    )
+    assert plan["opens_utc"] == "2026-03-01T20:00:00+00:00"
+    assert (plan["runs"], plan["no_time_for"]) == (2, ["a-003"])
     assert 0.1 < plan["expected_sigma"]["a"]["fx"] < 5
 
 

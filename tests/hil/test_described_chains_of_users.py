@@ -1,7 +1,5 @@
 """Described stages with a stop command for each axis: modules with several motors, and controllers in a chain."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.errors import DriverError, WrongDevice

@@ -1,7 +1,5 @@
 """Lights that a user describes from the maker's manual: prompts, other units that are read, commands without an answer."""
 
-from __future__ import annotations
-
 import pytest
 
 from bench.stations.station_text import read_light_protocol

@@ -1,7 +1,5 @@
 """Stages by description, beyond what every family is tried with: what opening sends, stops while homing, scales."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stages that a user describes from the maker's manual: answers in hexadecimal, late, of several axes, or none at all."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every fault that can be ordered of an axis or its line, on every family: a typed error in time, or the truth."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.errors import DriverError, MoveFailed, NotHomed, PortLost, ReplyError, WrongDevice
@@ -64,6 +62,13 @@ def assert_true_or_error(rig: DirectStage) -> None:
         assert readings == [pytest.approx(rig.true_deg(), abs=0.01)]
 
 
+def move_to_the_truth_or_an_error(rig: DirectStage) -> DriverError | None:
+    error = move(rig)
+    assert error is not None or rig.true_deg() == pytest.approx(-10.0, abs=0.01)
+    assert_true_or_error(rig)
+    return error
+
+
 def test_every_fault_of_the_catalogue_is_spoken_of_here() -> None:
     assert set(AXIS_FAULTS) == {*FAILS, *HARMLESS, *AFTERWARDS}
     assert set(LINE_FAULTS) == {*MESSAGES, "baud", "say", "unplug", "replug", "mend"}
@@ -114,17 +119,13 @@ def test_what_moves_an_axis_that_has_arrived_shows_in_its_readings(rig, fault) -
 @pytest.mark.parametrize("fault", sorted(MESSAGES))
 def test_one_spoilt_message_of_a_move_never_passes_for_another(rig, fault, skip) -> None:
     rig.order(f"gimbal {fault} skip={skip} delay_s=1.2 pattern=1 replacement=7")
-    error = move(rig)
-    assert error is not None or rig.true_deg() == pytest.approx(-10.0, abs=0.01)
-    assert_true_or_error(rig)
+    move_to_the_truth_or_an_error(rig)
 
 
 @pytest.mark.parametrize("fault", sorted(MESSAGES - {"any", "echo", "doubled", "nul", "preceded"}))
 def test_a_line_that_is_bad_for_ever_is_an_error_or_the_truth(rig, fault) -> None:
     rig.order(f"gimbal {fault} count=0 delay_s=1.2 pattern=1 replacement=7")
-    error = move(rig)
-    assert error is not None or rig.true_deg() == pytest.approx(-10.0, abs=0.01)
-    assert_true_or_error(rig)
+    error = move_to_the_truth_or_an_error(rig)
     if fault in {"lost", "request_lost", "stranger"}:
         assert isinstance(error, ReplyError)
 
@@ -158,9 +159,7 @@ def test_another_baud_rate_is_an_error_and_nothing_moves(rig) -> None:
 )
 def test_what_nobody_asked_for_is_no_answer(rig, text) -> None:
     rig.order(f"gimbal say text='{text}\\r\\n'")
-    error = move(rig)
-    assert error is not None or rig.true_deg() == pytest.approx(-10.0, abs=0.01)
-    assert_true_or_error(rig)
+    move_to_the_truth_or_an_error(rig)
 
 
 def test_a_pulled_cable_is_lost_and_put_back_needs_the_port_opened_anew(rig) -> None:

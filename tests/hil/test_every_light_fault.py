@@ -3,8 +3,6 @@
 What only the light itself does (lamp open, another frequency, sync edges gone) no driver can know: the recordings do.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

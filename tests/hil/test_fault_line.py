@@ -1,7 +1,5 @@
 """The fault line as a process, in front of a device on another port."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

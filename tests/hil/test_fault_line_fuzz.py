@@ -1,7 +1,5 @@
 """Drivers against simulated controllers behind a line of faults, on a virtual clock: an error, or the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -5,8 +5,6 @@ The firmware is not part of Starbench (GPL). Name its folder to run these tests:
     git clone https://github.com/gnea/grbl; export STARBENCH_GRBL_SOURCE=$PWD/grbl/grbl
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A homing of a described stage is believed by evidence: controllers ignore the command in silence, and take moves then."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

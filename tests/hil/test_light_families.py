@@ -3,8 +3,6 @@
 What its faults do stands in test_every_light_fault.py, what a port does in test_plugin_contract.py.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The light's firmware, compiled for this computer, against the description: written apart from the simulated light."""
 
-from __future__ import annotations
-
 import os
 import select
 import shutil

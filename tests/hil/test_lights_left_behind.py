@@ -1,7 +1,5 @@
 """Lights as other programs leave them: what was left on does not survive into a recording, and is read back."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.errors import DriverError, SettingRefused
@@ -170,9 +168,8 @@ def test_an_event_within_a_reply_is_kept_and_the_reply_is_read(event, where) -> 
 
     rig.line.spoil = spoil
     assert rig.light.apply(FLICKER).frequency_hz == pytest.approx(50.0)
-    assert [fault.partition(" event ")[2].partition(" (")[0] for fault in rig.light.faults()] == [
-        event.strip()
-    ]
+    (fault,) = rig.light.faults()
+    assert fault.partition(" event ")[2].partition(" (")[0] == event.strip()
 
 
 @pytest.mark.parametrize(

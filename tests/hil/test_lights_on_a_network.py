@@ -1,7 +1,5 @@
 """Lights whose line closes when it is idle: opened again to go on and to switch off; what cannot be is said."""
 
-from __future__ import annotations
-
 import threading
 import time
 
@@ -39,6 +37,15 @@ class Network:
         self.device = SerialDevice(self.port, self.driver, paced=False).start()
         self.light = OPEN[kind](self.device.address)
 
+    def shine(self) -> None:
+        self.light.apply(FLICKER)
+        self.light.on()
+
+    def see_it_go_dark(self) -> None:
+        """Switch the light off, and ask the device, not the driver, whether it is."""
+        self.light.off()
+        assert not self.states[-1].output
+
     def pass_time(self, seconds: float) -> None:
         self.ahead_s += seconds
         wait_until(lambda: self.port.client is None)
@@ -56,19 +63,16 @@ def network(request):
 
 
 def test_a_light_whose_idle_line_was_closed_goes_on_and_is_switched_off(network) -> None:
-    network.light.apply(FLICKER)
-    network.light.on()
+    network.shine()
     network.pass_time(11.0)
     assert network.light.faults() == []
     assert network.states[-1].output
     network.pass_time(11.0)
     assert network.light.read().frequency_hz == pytest.approx(50.0)
     network.pass_time(11.0)
-    network.light.off()
-    assert not network.states[-1].output
+    network.see_it_go_dark()
     network.pass_time(11.0)
-    network.light.apply(FLICKER)
-    network.light.on()
+    network.shine()
     assert network.states[-1].output
 
 
@@ -82,29 +86,24 @@ def test_a_light_that_restarted_before_it_is_switched_on_stays_dark(network) -> 
 
 
 def test_what_cannot_be_switched_off_is_said_and_the_port_is_named(network) -> None:
-    network.light.apply(FLICKER)
-    network.light.on()
+    network.shine()
     network.device.unplug()
     with pytest.raises(PortLost, match="cannot be opened again") as lost:
         network.light.off()
     assert lost.value.where == network.device.address
     network.device.replug()
-    network.light.off()
-    assert not network.states[-1].output
+    network.see_it_go_dark()
 
 
 def test_a_device_that_needs_a_moment_before_it_accepts_another_connection_is_switched_off(network) -> None:
-    network.light.apply(FLICKER)
-    network.light.on()
+    network.shine()
     network.device.unplug()
     threading.Timer(0.3, network.device.replug).start()
-    network.light.off()
-    assert not network.states[-1].output
+    network.see_it_go_dark()
 
 
 def test_another_device_at_the_same_address_is_not_set(network) -> None:
-    network.light.apply(FLICKER)
-    network.light.on()
+    network.shine()
     network.pass_time(11.0)
     if isinstance(network.light, GardasoftLight):  # it tells no serial number
         receive = network.driver.receive
@@ -122,13 +121,11 @@ def test_a_line_that_a_network_has_forgotten_is_opened_again_to_switch_off() -> 
     """A gateway drops a connection without a word: nothing comes back, and nothing says why."""
     network = Network("gardasoft", idle_s=0.0)
     try:
-        network.light.apply(FLICKER)
-        network.light.on()
+        network.shine()
         forgotten, receive = network.port.client, network.driver.receive
         network.driver.receive = lambda data: b"" if network.port.client is forgotten else receive(data)
         with pytest.raises(ReplyTimeout):
             network.light.read()
-        network.light.off()
-        assert not network.states[-1].output
+        network.see_it_go_dark()
     finally:
         network.close()

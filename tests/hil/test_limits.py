@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-from quick_runs import END, THREE, quick_words, write_sequence, write_station
+from quick_runs import END, THREE, quick_words, write_queue, write_sequence, write_station
 from running import called, results
 
 KEPT, MISSED = "{result: fx, lower: 1600, upper: 1750}", "{result: cx, upper: 300, specification: drawing 7}"
@@ -43,13 +43,8 @@ def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_pa
 def test_a_batch_counts_such_a_run_as_done_and_tells_it(home, tmp_path):
     write_sequence(tmp_path / "s.yaml", THREE, end=f"{END}limits: [{MISSED}]\n")
     write_station(tmp_path / "b.yaml")
-    queue = tmp_path / "q.yaml"
-    queue.write_text(
-        "format: starbench/queue/1\nname: Q\njobs:\n  - {name: one, sequence: s.yaml, station: b.yaml}\n"
-    )
+    queue = write_queue(tmp_path / "q.yaml", "name: one, sequence: s.yaml, station: b.yaml")
     ended = called("batch", queue, "-o", tmp_path / "night", "--json", home=home, status=4)
-    summary = json.loads(ended.stdout)
-    assert [(item["how"], item["conformity"], item["attempts"]) for item in summary["items"]] == [
-        ("finished", "FAIL", 1)
-    ]
+    (item,) = json.loads(ended.stdout)["items"]
+    assert (item["how"], item["conformity"], item["attempts"]) == ("finished", "FAIL", 1)
     assert "FAIL by the limits" in (tmp_path / "night" / "summary.html").read_text()

@@ -1,7 +1,5 @@
 """Simulated controllers with one thing wrong each: our drivers refuse every one, before or while it moves."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.errors import MoveFailed, MoveTimeout, ReplyError

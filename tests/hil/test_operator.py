@@ -1,11 +1,10 @@
 """An operator at another terminal: hold and go on, abort, take over."""
 
 import json
-import re
 
 import pytest
 from quick_runs import THREE_NAMED, quick_words
-from running import PATIENCE_S, called, entering, journal, numbers, results, start, wait_for
+from running import PATIENCE_S, called, entering, journal, light_outputs, numbers, results, start, wait_for
 
 from bench.run.control import Command, send
 
@@ -23,13 +22,6 @@ def process(home, tmp_path):
 
 def states(folder):
     return [line["state"] for line in journal(folder) if line["event"] == "entering"]
-
-
-def light_outputs(folder):
-    """What the light's output was switched to, in order."""
-    sent = [json.loads(line) for line in (folder / "wire.jsonl").read_text().splitlines()]
-    switched = [re.search(r"OUTP\S* (ON|OFF|0|1)", line["bytes"]) for line in sent if line["dir"] == ">"]
-    return [match[1] in {"ON", "1"} for match in switched if match]
 
 
 @pytest.mark.slow

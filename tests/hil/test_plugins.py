@@ -1,7 +1,5 @@
 """Plug-ins: the example package, installed into a folder of its own, and packages that are broken in every way."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

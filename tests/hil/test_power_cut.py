@@ -93,9 +93,7 @@ def poses_on_disk(path):
         notes = recover(folder, journal)
     assert (notes["missing"], notes["changed"]) == ([], [])
     assert len(notes["intact"]) == len(captures)
-    assert sorted(p.name for p in (path / "captures").iterdir()) == sorted(
-        Path(name).name for name in captures
-    )
+    assert {p.name for p in (path / "captures").iterdir()} == {Path(name).name for name in captures}
     return len(captures)
 
 

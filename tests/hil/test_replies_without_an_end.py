@@ -1,7 +1,5 @@
 """Controllers some of whose replies have no end: Velmex VXM answers a question for the state by one letter."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """One device reached by two ports: the second process is refused by the serial number, whoever of the two was first."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack

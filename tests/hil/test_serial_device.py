@@ -1,7 +1,5 @@
 """The simulated line: what a port does apart from any protocol."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """Real ports: pseudo-terminals that are held, refused, unplugged and plugged in again."""
 
-from __future__ import annotations
-
 import os
 import pty
 import signal

@@ -1,7 +1,5 @@
 """The simulated bench as a process: its ports, its truth file, its end, and one world behind all devices."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

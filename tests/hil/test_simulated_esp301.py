@@ -1,7 +1,5 @@
 """The simulated Newport ESP301, line by line; test_wire_parity.py has it driven by an independent client."""
 
-from __future__ import annotations
-
 import pytest
 
 from simulators.stages.axis_motion import MotionFault

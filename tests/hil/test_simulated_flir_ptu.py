@@ -1,7 +1,5 @@
 """The simulated pan-tilt unit: its own answers, and a client that nobody here wrote (FLIR-PTU-Python, if installed)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

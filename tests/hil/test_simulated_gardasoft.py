@@ -1,7 +1,5 @@
 """The simulated Gardasoft RT: what it answers, what it holds within range, and what the light does."""
 
-from __future__ import annotations
-
 import pytest
 
 from simulators.lights.gardasoft import OVER_CURRENT, GardasoftRt

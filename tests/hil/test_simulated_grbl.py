@@ -1,7 +1,5 @@
 """The simulated GRBL gimbal: lines, real-time bytes, alarms, and axes that arrive together."""
 
-from __future__ import annotations
-
 import re
 from contextlib import suppress
 

@@ -1,7 +1,5 @@
 """The simulated XIMC controller, driven by the maker's own library, and byte by byte."""
 
-from __future__ import annotations
-
 import struct
 import time
 

@@ -1,7 +1,5 @@
 """The simulated Zaber gimbal, driven by the maker's own client, and byte by byte."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

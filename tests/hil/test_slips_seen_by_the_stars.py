@@ -1,7 +1,5 @@
 """An axis without encoder that slips between two poses: its driver cannot know, but the stars do, and the result holds."""
 
-from __future__ import annotations
-
 import pytest
 from running import results, starbench
 

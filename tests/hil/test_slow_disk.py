@@ -4,16 +4,10 @@ import time
 
 import pytest
 from own_disk import Disk
-from quick_runs import write_sequence, write_station
+from quick_runs import write_queue, write_sequence, write_station
 from running import PATIENCE_S, journal, start
 
 STANDS_STILL_S = 12.0
-QUEUE = """\
-format: starbench/queue/1
-name: Slow disk
-jobs:
-  - {name: a, sequence: %s, station: %s, seed: 7, settings: {station.disk.min_free_gb: 0.01}}
-"""
 
 
 @pytest.fixture
@@ -30,9 +24,10 @@ def stored(run):
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_a_disk_that_stands_still_is_waited_for(tmp_path, disk):
-    queue, night = tmp_path / "queue.yaml", disk.mounted / "night"
-    files = write_sequence(tmp_path / "sequence.yaml"), write_station(tmp_path / "station.yaml")
-    queue.write_text(QUEUE % files)
+    sequence, station = write_sequence(tmp_path / "sequence.yaml"), write_station(tmp_path / "station.yaml")
+    job = f"name: a, sequence: {sequence}, station: {station}, seed: 7"
+    queue = write_queue(tmp_path / "queue.yaml", f"{job}, settings: {{station.disk.min_free_gb: 0.01}}")
+    night = disk.mounted / "night"
     process = start("batch", queue, "-o", night, home=tmp_path / "home")
     deadline = time.monotonic() + PATIENCE_S
     while stored(night / "runs" / "a-001") < 2 and process.poll() is None and time.monotonic() < deadline:

@@ -1,7 +1,5 @@
 """Recordings spoilt in one way each: what their numbers say, and that a gate refuses them by it."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 

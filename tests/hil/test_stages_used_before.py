@@ -4,8 +4,6 @@ Each of these would move an axis, give a wrong angle, or refuse a healthy stage,
 reports stand in the pages of the devices.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

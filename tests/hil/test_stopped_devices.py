@@ -1,17 +1,25 @@
 """Simulated devices whose process is stopped (SIGSTOP), and runs that end by every signal: asked from outside."""
 
-import json
 import os
-import re
 import signal
 import time
 from contextlib import closing, contextmanager
-from pathlib import Path
 
 import pytest
 import yaml
-from quick_runs import SIMULATION, THREE_NAMED, write_sequence, write_station
-from running import PATIENCE_S, end_when, entering, journal, python, starbench, start, wait_for
+from quick_runs import SIMULATION, THREE_NAMED, write_queue, write_sequence, write_station
+from running import (
+    PATIENCE_S,
+    children,
+    end_when,
+    entering,
+    journal,
+    light_outputs,
+    python,
+    starbench,
+    start,
+    wait_for,
+)
 
 from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
@@ -111,12 +119,11 @@ def test_a_run_that_is_told_to_stop_leaves_devices_safe(tmp_path, bench, number,
 
 def begin_batch(tmp_path, sequence, station, state, *, attempts):
     """Begin a batch of one run; return its process, its folder and its worker, when the run has reached a state."""
-    queue, folder = tmp_path / "queue.yaml", tmp_path / "night"
-    job = f"{{name: cam, sequence: {sequence}, station: {station}, attempts: {attempts}}}"
-    queue.write_text(f"format: starbench/queue/1\nname: Night\njobs:\n  - {job}\n")
+    job = f"name: cam, sequence: {sequence}, station: {station}, attempts: {attempts}"
+    queue, folder = write_queue(tmp_path / "queue.yaml", job), tmp_path / "night"
     process = start("batch", queue, "-o", folder, home=tmp_path / "home")
     wait_for(process, folder / "runs" / "cam-001", entering(state, AT_POSE.get(state)))
-    (worker,) = [int(p) for p in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    (worker,) = children(process.pid)
     return process, folder, worker
 
 
@@ -151,11 +158,7 @@ def test_worker_and_supervisor_killed_together_leave_a_bench_that_the_next_call_
     events = [line["event"] for line in journal(run)[seen:]]
     assert "run_resumed" in events
     assert events.index("devices") < events.index("capture_stored")  # preflight has put the light out by then
-    sent = [json.loads(line) for line in (run / "wire.jsonl").read_text().splitlines()]
-    resumed_s = journal(run)[seen]["mono_s"]
-    after = [s["bytes"] for s in sent if s["dir"] == ">" and s["t"] > resumed_s]
-    switched = [match[1] for words in after if (match := re.search(r"OUTP\S* (ON|OFF|0|1)", words))]
-    assert switched[0] in {"OFF", "0"}
+    assert light_outputs(run, after_s=journal(run)[seen]["mono_s"])[0] is False
     see_that_it_is_safe(station)
 
 

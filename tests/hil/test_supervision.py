@@ -7,11 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
-from quick_runs import THREE_NAMED, write_sequence, write_station
-from running import PATIENCE_S, entering, has_ended, journal, results, start, wait_for
+from quick_runs import THREE_NAMED, write_queue, write_sequence, write_station
+from running import PATIENCE_S, children, entering, has_ended, journal, results, start, wait_for
 from servers import MailServer, serving
 from station_texts import PLAIN
 from waiting import wait_until
@@ -25,13 +24,6 @@ from bench.stations.devices import open_light
 from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station
 from drivers.light import LightSettings
-
-QUEUE = """\
-format: starbench/queue/1
-name: Night
-jobs:
-  - {name: cam, sequence: %s, station: %s, seed: 7, attempts: 3}
-"""
 
 
 class Looks(BenchClock):
@@ -51,18 +43,14 @@ class Looks(BenchClock):
         return end.noticed_s > SILENCE_S and before_s - (last_s - end.noticed_s) <= SILENCE_S
 
 
-def children(pid):
-    return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
 @pytest.fixture
 def night(tmp_path):
     """A queue of one run, whose station tells a mail server; the folder of its batch."""
     with serving(MailServer()) as server:
         station = write_station(tmp_path / "station.yaml", server.section)
         sequence = write_sequence(tmp_path / "sequence.yaml", THREE_NAMED)
-        (tmp_path / "queue.yaml").write_text(QUEUE % (sequence, station))
-        yield tmp_path / "queue.yaml", tmp_path / "night", server
+        job = f"name: cam, sequence: {sequence}, station: {station}, seed: 7, attempts: 3"
+        yield write_queue(tmp_path / "queue.yaml", job), tmp_path / "night", server
 
 
 @pytest.mark.slow
@@ -196,7 +184,7 @@ def test_what_the_system_ended_for_want_of_memory_counts_as_a_crash(tmp_path, mo
     folder.mkdir()
     command = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"]
     end = supervise(command, folder, tmp_path / "log", BenchClock(), print)
-    assert (end.how, end.why) == ("died", OUT_OF_MEMORY)
+    assert (end.how, end.why, end.outside) == ("died", OUT_OF_MEMORY, False)
     assert read_crash(folder) == OUT_OF_MEMORY
     kills = iter([4, 4])
     (folder / "crash.txt").unlink()

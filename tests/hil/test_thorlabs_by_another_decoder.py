@@ -3,8 +3,6 @@
 The package `thorlabs_apt_protocol` (MIT) was written by others from the same document.
 """
 
-from __future__ import annotations
-
 import io
 import math
 

@@ -1,7 +1,5 @@
 """Thorlabs controllers as they are: silent commands, lost commands, updates, a channel switched off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A Thorlabs stage as another program has left it: its zero, its speeds and its words."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 

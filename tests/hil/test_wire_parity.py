@@ -1,7 +1,5 @@
 """What our drivers send is what the makers' own clients send, on the same simulated controllers."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ Python is made to look so in every process: the modules cannot be imported, ``ms
 select takes sockets alone, a rename replaces nothing, no folder can be opened nor a file synced that is only read, and there are no signals or flags but those that Windows has.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

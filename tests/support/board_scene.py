@@ -6,8 +6,6 @@ point is divided between the two of a few diameters that are next to its own, so
 with it the width of the blur, is exact.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ stars in event images are not in these views; `tests/hil` has those. The gimbal 
 (`GimbalErrors`) or the errors of the simulators' own section (`GimbalTruth`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Drawn gimbals before a camera: rotations seen, their stated covariance, readings, and the truth behind them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Rims of simulated benches, drawn without images: points where the light of each pose ends, and the true discs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -15,6 +15,7 @@ from authorising import make_key, person
 from drawn_rig import Drawn
 from failing_calls import each_call, remove, tried
 from made_event_files import some_events
+from quick_runs import write_queue
 from sealed_bench import NOW, SealedBench
 from virtual_bench import BEGIN, VirtualBench
 
@@ -197,7 +198,7 @@ def write_inputs(folder):
     rig = Drawn(2, boards=10, sizes=(SIZE, SIZE))
     rig.write_boards(folder)
     rig.write_stars(folder / "stars")
-    (folder / "queue.yaml").write_text(QUEUE)
+    write_queue(folder / "queue.yaml", "name: one, sequence: three_pose, station: simulated")
     (folder / "draft.json").write_bytes(sealed_bytes(Passport.of_radius(255.0, 0.05)))
 
 
@@ -225,9 +226,6 @@ COMMANDS = {
 }
 GOING_ON = {"calibrate --each": f"calibrate {{in}}/stars --each {SIZE_OPTION} -o {{out}}"}
 OTHERS = {"run": Run, "authorisation": Authorisation, "ledger": Entries, "keys": Keys}
-QUEUE = (
-    "format: starbench/queue/1\nname: Night\njobs: [{name: one, sequence: three_pose, station: simulated}]\n"
-)
 
 
 def patches():

@@ -1,7 +1,5 @@
 """The cases of `hostile_inputs`: commands with files, folders and words that are wrong in every way we know."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -7,8 +7,6 @@ above the base in MB, time of the processor in s, and what is wrong with it. All
 line. It is loaded once; every case is a fork of it, because 400 starts of the interpreter would take ten minutes.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

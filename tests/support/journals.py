@@ -11,6 +11,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from quick_runs import write_queue
+
 from bench.base.clock import BenchClock
 from bench.record.folder_lock import lock_folder
 from bench.record.journal import Journal
@@ -171,8 +173,7 @@ def at_work(run: MadeRun) -> Iterator[tuple[RunLog, BenchClock]]:
 def made_batch(folder: Path, *, jobs: tuple[str, ...] = ("cam",)) -> MadeRun:
     """A batch folder with a queue and a journal that has begun; each job is one run."""
     batch = MadeRun(folder)
-    lines = [f"  - {{name: {name}, sequence: three_pose, station: simulated}}" for name in jobs]
-    queue = "\n".join(["format: starbench/queue/1", "name: Night", "jobs:", *lines])
-    (folder / "queue.yaml").write_text(f"{queue}\n")
+    lines = [f"name: {name}, sequence: three_pose, station: simulated" for name in jobs]
+    write_queue(folder / "queue.yaml", *lines)
     batch.write("batch_begun", queue="Night", files={})
     return batch

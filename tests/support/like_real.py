@@ -7,8 +7,6 @@ simulated camera is turned as the recorded one was. Its discs of light are those
 profile says; pieces of glass are numbered from 1, so that the same command prints the same numbers.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Slices of the simulated bench for tests of the live figures: RAW files with events and sync edges, and photographs."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

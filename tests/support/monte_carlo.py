@@ -3,8 +3,6 @@
 The principle is that of JCGM 101:2008. Each run has its own random seed, so that it can be repeated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ starbench run three_pose --station simulated --seed 1 --output runs/demo
 python tests/support/python_page.py FOLDER_OF_runs
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

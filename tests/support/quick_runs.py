@@ -70,6 +70,13 @@ def quick_words(folder, poses=TWELVE, *, station="", seed=7, **sequence):
     return "run", poses_file, "-s", bench, "--seed", seed, "-o", folder / "run"
 
 
+def write_queue(path, *jobs, head="name: Night\n"):
+    """A queue of jobs, each of them the mapping of one as text."""
+    lines = "".join(f"  - {{{job}}}\n" for job in jobs)
+    path.write_text(f"format: starbench/queue/1\n{head}jobs:\n{lines}")
+    return path
+
+
 def write_until(path, until, model="spherical"):
     """A sequence that chooses its poses; ``until`` is the mapping of the step as text."""
     path.write_text(UNTIL % (model, until))

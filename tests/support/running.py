@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -80,6 +81,18 @@ def called(*words, home: Path, status: int | None = 0) -> subprocess.CompletedPr
 
 def start(*words, home: Path) -> subprocess.Popen[str]:
     return start_python(*STARBENCH[1:], *words, **environment(home))
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def light_outputs(folder: Path, after_s: float = 0.0) -> list[bool]:
+    """What the light's output was switched to by a run, in order, after a time of its journal."""
+    sent = [json.loads(line) for line in (folder / "wire.jsonl").read_text().splitlines()]
+    after = [said["bytes"] for said in sent if said["dir"] == ">" and said["t"] > after_s]
+    switched = [re.search(r"OUTP\S* (ON|OFF|0|1)", words) for words in after]
+    return [match[1] in {"ON", "1"} for match in switched if match]
 
 
 def has_ended(pid: int) -> bool:

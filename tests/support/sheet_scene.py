@@ -4,8 +4,6 @@ The sheet is sharp at every distance. It stands on the frame of its own: X right
 origin is its middle.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

@@ -1,7 +1,5 @@
 """Recordings of 33 ms of the simulated bench without devices: events of one pose, the flicker, and their images."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ A recording is varied by losing some events of its vectors at random (VECT_12 an
 same stars are found at slightly other places. Runs share recordings, but no two runs have the same ones.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import os

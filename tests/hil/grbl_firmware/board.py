@@ -4,8 +4,6 @@ The firmware is free software under the GPL and not part of Starbench. The tests
 names the folder ``grbl`` of https://github.com/gnea/grbl.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import subprocess

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from quick_runs import write_queue
 from running import start_python
 from slow_cases import first_quick
 from waiting import wait_until
@@ -83,7 +84,5 @@ def test_the_core_runs_verifies_and_calibrates(core):
     core("verify", "runs/two")
     core("calibrate", "runs/one")
     core("calibrate", "runs/one", "--each", "-o", "each")
-    (core.folder / "work" / "queue.yaml").write_text(
-        "format: starbench/queue/1\nname: Night\njobs: [{name: one, sequence: three_pose, station: simulated}]\n"
-    )
+    write_queue(core.folder / "work" / "queue.yaml", "name: one, sequence: three_pose, station: simulated")
     core("batch", "queue.yaml", "-o", "night")

@@ -1,7 +1,5 @@
 """Names of folders and people reach the terminal as text: they never steer it."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from nights import JOB, NightClock, Workers, begun, hows, night, queue
+from quick_runs import write_queue
 
 from bench.base.clock import Aborted
 from bench.base.errors import RunFolderError, ScriptError, UsageError
@@ -234,10 +235,7 @@ def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
 
 
 def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_continues_it(tmp_path):
-    file = tmp_path / "my night.yaml"
-    file.write_text(
-        "format: starbench/queue/1\nname: N\njobs: [{name: a, sequence: three_pose, station: simulated}]\n"
-    )
+    file = write_queue(tmp_path / "my night.yaml", "name: a, sequence: three_pose, station: simulated")
     night(tmp_path / "out", read_queue(file), Aborted("SIGTERM received"))[0].run()
     last = batch_status_text(read_batch_status(tmp_path / "out")).splitlines()[-1]
     assert last.endswith(f": starbench batch '{file}' --output {tmp_path / 'out'}")

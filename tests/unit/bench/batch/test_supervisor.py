@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, adopt, supervise
+from bench.batch.supervisor import QUIET_S, SILENCE_S, adopt, supervise
 from bench.run.heartbeat import Heartbeat
 from bench.run.processes import waits_for_disk
 
@@ -30,16 +30,6 @@ def test_a_signal_from_outside_is_told_from_an_error_of_the_worker(tmp_path, nam
     command = ["sh", "-c", f"ulimit -c 0; kill -{name} $$; sleep 9"]
     end = supervise(command, tmp_path / "run", tmp_path / "log", BenchClock(), lambda _: None)
     assert (end.how, end.why, end.outside) == ("died", f"by SIG{name}", outside)
-
-
-def test_a_lack_of_memory_is_an_error_of_the_worker(tmp_path, monkeypatch):
-    kills = iter([3, 4])
-    monkeypatch.setattr("bench.batch.supervisor.out_of_memory_kills", lambda: next(kills))
-    (tmp_path / "run").mkdir()
-    end = supervise(
-        ["sh", "-c", "kill -KILL $$"], tmp_path / "run", tmp_path / "log", BenchClock(), lambda _: None
-    )
-    assert (end.why, end.outside) == (OUT_OF_MEMORY, False)
 
 
 @pytest.mark.parametrize(("states", "waits"), [("SR", False), ("SD", True), ("", False)])

@@ -1,7 +1,5 @@
 """Dead columns and rows of a sensor move no star: those that they cross are left out, and the lines are told."""
 
-from __future__ import annotations
-
 import numpy as np
 from virtual_camera import VirtualCamera
 

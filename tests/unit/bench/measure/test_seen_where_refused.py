@@ -1,7 +1,5 @@
 """A picture that is refused is told by what it shows, on a large and on a small sensor: stars, dark parts, a mirror."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from virtual_camera import VirtualCamera

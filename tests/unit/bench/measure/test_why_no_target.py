@@ -1,7 +1,5 @@
 """A recording that shows no target says why: dark, out of focus, or as the detector said."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -123,9 +123,8 @@ def test_only_the_process_that_wrote_the_heartbeat_is_opened():
     own = open_process(Heartbeat(os.getpid(), started, 0))
     assert own is not None
     os.close(own)
-    assert (
-        open_process(Heartbeat(os.getpid(), started + 1, 0)) is None
-    )  # another one, later, of the same number
+    another_of_that_number = Heartbeat(os.getpid(), started + 1, 0)
+    assert open_process(another_of_that_number) is None
     with subprocess.Popen([sys.executable, "-c", ""]) as process:
         process.wait()
     assert open_process(Heartbeat(process.pid, 1, 0)) is None

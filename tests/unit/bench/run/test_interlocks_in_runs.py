@@ -124,22 +124,6 @@ def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):
     assert "HELD" not in status_text(read_status(scene.folder))
 
 
-def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path, monkeypatch):
-    words = "\ninterlocks: {camera_temperature: {max_c: 50, release_c: 45, max_hold_s: 900}}\n"
-    scene = Scene(tmp_path, station=words)
-
-    def celsius(_camera):
-        now_s = scene.clock.monotonic()
-        return 60.0 - 0.1 * max(0.0, now_s - 3.0) if now_s > 3.0 else 30.0
-
-    monkeypatch.setattr(VirtualCamera, "temperature_c", celsius)
-    end = scene.run()
-    assert end.how == "finished", end.why
-    (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
-    assert released["rule"] == "camera_temperature"
-    assert 140 < released["held_s"] < 160
-
-
 def test_stray_light_holds_the_run_until_it_is_dark_again(tmp_path, monkeypatch):
     words = "\ninterlocks: {event_rate: {max_mev_s: 50, release_mev_s: 5, max_hold_s: 900}}\n"
     scene = Scene(tmp_path, station=words)

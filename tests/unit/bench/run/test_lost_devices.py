@@ -130,9 +130,8 @@ def test_a_camera_unplugged_after_the_last_recording_is_stated_and_the_run_finis
     end_of_camera = ("not confirmed", "the camera does not answer: gone")
     assert left(scene)["camera"] == end_of_camera
     assert {left(scene)[device][0] for device in ("stage", "light")} == {"confirmed safe"}
-    assert [(device.state, device.said) for device in end.devices if device.device == "camera"] == [
-        end_of_camera
-    ]
+    (camera,) = [device for device in end.devices if device.device == "camera"]
+    assert (camera.state, camera.said) == end_of_camera
     shown = status_text(read_status(scene.folder))
     assert "camera: not confirmed" in shown
 

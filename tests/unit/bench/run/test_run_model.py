@@ -224,9 +224,8 @@ class Life(RuleBasedStateMachine):
         history = replay(entries)
         accepted = {pose: a.stored["sha256"] for pose, a in history.accepted().items()}
         assert self.recorded.items() <= accepted.items()  # what was recorded once is recorded for ever
-        assert len(accepted) == sum(
-            e.event == Event.ATTEMPT_CHECKED and e.data["accepted"] for e in entries
-        )  # and never twice
+        checked = [e.data for e in entries if e.event == Event.ATTEMPT_CHECKED]
+        assert len(accepted) == sum(check["accepted"] for check in checked)  # and never twice
         assert not set(accepted) & set(history.skipped)
         assert self.skipped <= set(history.skipped)
         self.recorded, self.skipped = accepted, set(history.skipped)

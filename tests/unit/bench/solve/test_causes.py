@@ -1,7 +1,5 @@
 """What a person did is named from what the station expects, and from what the last run of this bench had."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Descriptions of devices: the shipped ones, every fault at its line and column, and stations that use them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
