@@ -17,6 +17,7 @@ from calib.calibration import CalibrationOptions
 from calib.diagnosis.gross_stars import noise_px
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
+from calib.joint.effects.collimator import CENTRE
 from calib.joint.equations import State
 from calib.joint.evidence import odds_of, value_as_weighed
 from calib.joint.hypotheses import ANOTHER_THING
@@ -59,6 +60,9 @@ _FAR_START, _AGAIN = 0.05, 4
 #: The stars are explained if they scatter by no more than so many times what neighbouring stars show. On nine
 #: ray-traced benches of another author, right ends have 1.1 at most; ends at another camera have 1.24 or more.
 _AS_NEIGHBOURS = 1.15
+#: A foot that lies so far beside the middle of the stars, as a share of the radius, is looked for there, too: a target
+#: is square to its collimator to two degrees.
+_BESIDE = 0.035
 #: Starts are compared by so many stars a view, or more.
 _COMPARISON_STARS = 50
 
@@ -165,7 +169,13 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
     if not ends:
         raise failed[0]
     first = ends[0].optimum
-    return sorted(ends, key=lambda end: value_as_weighed(end.optimum, first))
+
+    def value(end: _End) -> float:
+        return value_as_weighed(end.optimum, first)
+
+    with suppress(NotConverged, np.linalg.LinAlgError):  # the other ends stand
+        ends += _about_middle(task, min(ends, key=value))
+    return sorted(ends, key=value)
 
 
 def _begins(
@@ -207,9 +217,8 @@ def _held_starts(few: Task, start: AdjustmentParameters) -> list[AdjustmentParam
     The image tells the scale fx / r, px/mm, whatever the two are. A search finds the optimum from .5 to 1.4 times the
     true focal length.
     """
-    options = few.options
-    if options.passport is not None and not options.passport.is_certificate:
-        return []  # all of the glass is known
+    if few.knows_centre:
+        return []
     diagonal, held = float(np.hypot(*few.views[0].image_size)), []
     for share in FOCAL_SHARES:
         radius = share * diagonal * start.collimator.r / start.camera.fx
@@ -263,6 +272,27 @@ def _searched(task: Task, begin: _Begin) -> _End:
         if (step**2 < 4.0 * variances)[:4].all() or not _explains(optimum, task.views):
             break
     return _End(optimum, begin)
+
+
+def _about_middle(task: Task, end: _End) -> list[_End]:
+    """Return the end of a search whose foot begins in the middle of the stars, if that of ``end`` is far beside it.
+
+    Glass that is not round about its axis imitates another foot, and with it another radius, while the camera stays.
+    """
+    if task.knows_centre:
+        return []
+    state, problem = end.optimum.state, end.optimum.marginal.problem
+    bench, at = problem.bench, problem.bench.layout.places(CENTRE)
+    foot, middle = state.shared[at], bench.stars.target_mm.mean(axis=0)
+    beside = float(np.hypot(*(foot[:2] - middle)))
+    if beside < _BESIDE * foot[2]:
+        return []
+    expect(1)
+    shared = state.shared.copy()
+    shared[at] = *middle, np.hypot(foot[2], beside)  # what lies in the middle stays as far away
+    moved = bench.aligned(replace(state, shared=shared), end.optimum.marginal.equations.weights)
+    optimum = search(*task.posed_at(moved, problem, end.begin.start), task.options.max_iterations)
+    return [_End(replace(optimum, iterations=end.optimum.iterations + optimum.iterations), end.begin)]
 
 
 def _is_clearly_more_probable(end: Optimum, other: Optimum) -> bool:

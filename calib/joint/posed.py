@@ -140,6 +140,12 @@ class Task(NamedTuple):
     lens: tuple[str, ...]
     seen: Poses
 
+    @property
+    def knows_centre(self) -> bool:
+        """Whether a passport states the centre, and all of the glass."""
+        passport = self.options.passport
+        return passport is not None and not passport.is_certificate
+
     def posed(self, start: AdjustmentParameters) -> tuple[Problem, State]:
         """Return the problem and its first state."""
         return posed(self.views, self.options, start, self.lens, self.seen)

@@ -1,4 +1,4 @@
-"""Comparison of an answer with the truth: errors and expanded uncertainties of fx, fy, cx, cy and the worst corner.
+"""Comparison of an answer with the truth: errors and expanded uncertainties of fx, fy, cx, cy, the worst corner, and r.
 
 The corner is that with the largest stated uncertainty, along the direction of the largest; errors and uncertainties are
 those that the best common rotation of the camera leaves.
@@ -62,8 +62,9 @@ def _without_turn(values: Mapping[str, float], rays: Array) -> Array:
     return np.eye(len(q)) - q @ q.T
 
 
-def compared(answer: Answer, camera: Camera) -> dict[str, Any]:
+def compared(answer: Answer, bench: Bench) -> dict[str, Any]:
     """Errors and expanded uncertainties, as numbers of a line."""
+    camera = bench.camera
     k, names = answer.coverage_factor, list(answer.values)
     expanded = {
         name: answer.factors.get(name, k) * float(np.sqrt(answer.covariance[i, i]))
@@ -74,6 +75,7 @@ def compared(answer: Answer, camera: Camera) -> dict[str, Any]:
     has_lens = camera.image_of is None or camera.exact  # else no coefficients describe it
     error["corner"], sigma = corner(answer, camera)
     u["corner"] = k * sigma
+    error["r"], u["r"] = answer.raw.values["r"] - bench.facts["r"], answer.raw.U["r"]
     return {
         "error": {name: round(value, 5) for name, value in error.items()},
         "U": {name: round(value, 5) for name, value in u.items()},
@@ -107,6 +109,6 @@ def judged(bench: Bench, known: str, lens: str, before: tuple[Bench, str] | None
         begun = time.process_time()
         answer = solve(bench, options_for(bench, known, lens, passport))
         line["cpu_s"] = round(time.process_time() - begun, 3)
-        return {**line, **compared(answer, bench.camera)}
+        return {**line, **compared(answer, bench)}
     except CalibrationError as error:
         return {**line, "refused": str(error)}

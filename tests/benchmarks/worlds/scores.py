@@ -9,10 +9,10 @@ import numpy as np
 
 Line = Mapping[str, Any]
 
-WHAT = ("fx", "fy", "cx", "cy", "corner")
+WHAT = ("fx", "fy", "cx", "cy", "corner", "r")
 HEAD = (
-    f"{'group':34s} {'N':>4s} {'ref':>3s} | {'covered, % of fx fy cx cy corner':^24s} | "
-    f"{'rms of 2 error/U':^24s} | {'largest error/U':^24s} | {'fx 95 %':>8s} {'U':>7s} {'U/95':>5s} | "
+    f"{'group':34s} {'N':>4s} {'ref':>3s} | {'covered, % of fx fy cx cy corner r':^32s} | "
+    f"{'rms of 2 error/U':^29s} | {'largest error/U':^29s} | {'fx 95 %':>8s} {'U':>7s} {'U/95':>5s} | "
     f"{'cx 95 %':>7s} {'U':>6s} | {'cy 95 %':>7s} {'U':>6s} | {'corner':>7s} {'U':>6s} | {'CPU s':>6s}"
 )
 
@@ -58,7 +58,7 @@ GROUPS: Mapping[str, Callable[[Line], Any]] = {
 def page(lines: Sequence[Line]) -> str:
     """The scores by world and knowledge as a table of docs/measured."""
     text = [
-        "| world, stated | number | covered, %: fx fy cx cy corner | RMS of 2 error / U | largest error / U | named as wrong | fx: error, U | cx | CPU: median, 95 % |",
+        "| world, stated | number | covered, %: fx fy cx cy corner r | RMS of 2 error / U | largest error / U | named as wrong | fx: error, U | cx | CPU: median, 95 % |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for key in sorted({(line["world"], line["known"]) for line in lines}):
