@@ -14,8 +14,6 @@ import numpy as np
 from board_scene import ShownBoard, corners
 from board_scene import picture as board_picture
 from numpy.typing import NDArray
-from sheet_scene import ShownSheet
-from sheet_scene import picture as sheet_picture
 
 from simulators.config import bench_config
 from simulators.optics import scene
@@ -43,15 +41,13 @@ class VirtualCapture:
 class VirtualCamera:
     """A simulated camera in its scene, by a ``simulation`` section; the seed is for what that does not state.
 
-    Section ``screen``, the fields of `ShownBoard`, puts a flat board in place of the collimator; section ``sheet``,
-    the fields of `ShownSheet`, a plain sheet.
+    Section ``screen``, the fields of `ShownBoard`, puts a flat board in place of the collimator.
     """
 
     def __init__(self, section: Mapping[str, Any], seed: int) -> None:
         own = dict(section)
-        screen, sheet = own.pop("screen", None), own.pop("sheet", None)
+        screen = own.pop("screen", None)
         self._board = None if screen is None else ShownBoard(**screen)
-        self._sheet = None if sheet is None else ShownSheet(**sheet)
         self._truth: Truth = bench_config(own).truth_for(seed)
         self._seed = seed
         self._gears = Gears(self._truth.gimbal)
@@ -93,7 +89,7 @@ class VirtualCamera:
         seed: int,
         frame_us: float = 1000.0,
     ) -> VirtualCapture:
-        """Record a board or a sheet that moves before the camera under a steady light; a moving camera sees the same.
+        """Record a board that moves before the camera under a steady light; a moving camera sees the same.
 
         The picture changes in steps of ``frame_us``. The events that a step causes are spread evenly over the time of
         the step, so it should move the picture by about one pixel. ``board_at`` returns position, mm, and turn,
@@ -114,9 +110,6 @@ class VirtualCamera:
     def _moved_picture(
         self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]
     ) -> NDArray[np.float32]:
-        if self._sheet is not None:
-            sheet = replace(self._sheet, position_mm=placed[0], turn_deg=placed[1])
-            return sheet_picture(self._truth, sheet, subsamples=_MOVING_SUBSAMPLES)
         assert self._board is not None
         board = replace(self._board, position_mm=placed[0], turn_deg=placed[1])
         return board_picture(self._truth, board, {}, subsamples=_MOVING_SUBSAMPLES)

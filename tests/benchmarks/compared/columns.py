@@ -8,11 +8,10 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Method = Literal["starbench", "recipe", "zhang", "checkerboard", "reconstruction", "angles", "lines"]
+Method = Literal["starbench", "recipe", "zhang", "checkerboard", "reconstruction", "angles"]
 """``starbench``: this project's engine. ``recipe``: the published recipe. ``zhang``: OpenCV's planar calibration of the
 same star images. ``checkerboard``: a board on a flickering screen, placed by hand for each image. ``reconstruction``: a
-board that does not flicker, seen by a moving camera. ``angles``: one star image, by angle invariance. ``lines``: the edges
-of a sheet, seen by a moving camera."""
+board that does not flicker, seen by a moving camera. ``angles``: one star image, by angle invariance."""
 STAR_METHODS: tuple[Method, ...] = ("starbench", "recipe", "zhang", "angles")
 _FEWEST = 2
 
@@ -47,19 +46,6 @@ class Motion(Strict):
     two_sided: bool = True  # False: the filter as published, of earlier events only
 
 
-class Sheet(Strict):
-    """The sheet whose edges the method ``lines`` uses, and how it moves before the camera."""
-
-    width_mm: float = 297.0  # A4
-    height_mm: float = 210.0
-    distance_mm: float = 1800.0
-    tilt_deg: float = 45.0
-    speed_px_s: float = 1000.0
-    way_px: float = 30.0
-    marked_px: float = 5.0  # How exactly a person marks the ends of an edge
-    widened: bool = False  # Whether it is unknown by how much the bright sheet looks larger
-
-
 class Column(Strict):
     """One column of the table: a method on a bench."""
 
@@ -76,7 +62,6 @@ class Column(Strict):
     lens: str = "k1k2"
     board: Screen = Screen()
     motion: Motion = Motion()
-    sheet: Sheet = Sheet()
 
     @model_validator(mode="after")
     def _enough_images(self) -> Column:

@@ -24,7 +24,6 @@ from tests.benchmarks.compared.reference_methods import (
 )
 from tests.benchmarks.worlds.knowledge import options_for
 
-from .by_lines import calibrate_by_lines
 from .by_others import calibrate_by_angles
 from .columns import STAR_METHODS, Column
 from .gimbal_check import gimbal_ratio_error
@@ -67,7 +66,7 @@ _FEWEST_VIEWS = 2
 
 def solve(column: Column, images: Images, images_cpu_s: float, seed: int) -> Row:
     """Calibrate by the method of a column: values, sigmas, errors and residuals."""
-    count = len(images.views) + len(images.edges)
+    count = len(images.views)
     if count < (1 if column.known_collimator or column.method == "angles" else _FEWEST_VIEWS):
         reasons = "; ".join(dict.fromkeys(images.missed)) or "no image"
         return failed_row(images, images_cpu_s, f"{count} views with a target: {reasons}")
@@ -92,7 +91,7 @@ def solve(column: Column, images: Images, images_cpu_s: float, seed: int) -> Row
 def failed_row(images: Images, images_cpu_s: float, why: str) -> Row:
     """Return the row of images of which a method makes nothing."""
     return {
-        "views": len(images.views) + len(images.edges),
+        "views": len(images.views),
         "missed": list(images.missed),
         "error": why,
         "images_cpu_s": images_cpu_s,
@@ -155,10 +154,6 @@ def _result(column: Column, images: Images, seed: int) -> tuple[MethodResult, Ca
         return published_recipe(views, CalibrationOptions("spherical", lens)), None
     if column.method == "angles":
         return _by_angles(column, images, seed), None
-    if column.method == "lines":
-        return calibrate_by_lines(
-            images.edges, images.camera.image_size, lens, widened=column.sheet.widened
-        ), None
     board = column.method not in STAR_METHODS
     if column.method == "zhang":
         return opencv_planar(views, CalibrationOptions("planar", lens, "l2")), None

@@ -16,7 +16,7 @@ from virtual_camera import VirtualCamera
 
 from calib.boards.board import Board
 from calib.boards.detect import detect_board
-from calib.errors import CalibrationError, TargetNotFound
+from calib.errors import CalibrationError
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
 from calib.model.camera import CameraModel
@@ -28,9 +28,8 @@ from calib.view import View
 from tests.benchmarks.worlds.bench import Bench
 from tests.benchmarks.worlds.knowledge import views_of
 
-from .by_lines import SeenEdges
 from .columns import STAR_METHODS, Column
-from .moving import reach_px, record_edges, record_moving
+from .moving import reach_px, record_moving
 from .strangers import camera_model, stranger_bench
 
 #: Largest angles of the poses, degrees: as those of the included sequences.
@@ -55,7 +54,6 @@ class Images:
     missed: tuple[str, ...]  # For each image without a view, the reason
     # Views of another camera before the same collimator, for its passport; None if they were not asked for.
     reference: Images | None = None
-    edges: tuple[SeenEdges, ...] = ()  # For the method lines, in place of views
     bench: Bench | None = None  # A stranger's
 
 
@@ -64,9 +62,6 @@ def recordings_key(column: Column) -> tuple[Any, ...]:
     if column.method in STAR_METHODS:
         key = ("stars", column.collimator, column.noise, column.images)
         return (*key, "reference") if column.known_collimator else key
-    if column.method == "lines":
-        sheet = column.sheet.model_dump(exclude={"widened"})
-        return ("lines", column.noise, column.images, *sheet.values())
     board = ("board", column.noise, column.images, *column.board.model_dump().values())
     if column.method != "reconstruction":
         return board
@@ -93,15 +88,11 @@ class Recordings:
     reference: Recordings | None = None
     # For a moving board the pictures of the filter as published; else empty.
     one_sided: Sequence[NDArray[np.float32]] = ()
-    edges: tuple[SeenEdges, ...] = ()
     bench: Bench | None = None  # A stranger's, which has its stars already
-    missed: tuple[str, ...] = ()  # For each sheet whose edges were not found, the reason
 
 
 def record(column: Column, seed: int) -> Recordings:
     """Record the images of one repetition, which all columns with the same `recordings_key` share."""
-    if column.method == "lines":
-        return _record_edges(column, seed)
     if column.method not in STAR_METHODS:
         return _record_boards(column, seed)
     if column.collimator == "stranger":
@@ -115,9 +106,6 @@ def record(column: Column, seed: int) -> Recordings:
 
 def find_targets(column: Column, recorded: Recordings) -> Images:
     """Find the targets of recorded images, as a column asks."""
-    if column.method == "lines":
-        camera = true_camera(recorded.truth["camera"])
-        return Images((), (), camera, recorded.truth, recorded.missed, edges=recorded.edges)
     if recorded.bench is not None:
         views = tuple(views_of(recorded.bench))
         camera = camera_model(recorded.bench.camera, views[0].image_size)
@@ -180,17 +168,6 @@ def _record_stars(column: Column, seed: int, camera_seed: int) -> Recordings:
     names = [f"pose {number}" for number in range(1, len(poses) + 1)]
     readings = [{f"{axis}_deg": angle for axis, angle in pose.items()} for pose in poses]
     return Recordings(images, names, readings, camera.truth())
-
-
-def _record_edges(column: Column, seed: int) -> Recordings:
-    truth = VirtualCamera({}, seed).truth()
-    camera, edges, missed = true_camera(truth["camera"]), [], []
-    for number in range(1, column.images + 1):
-        try:
-            edges.append(record_edges(column, camera, seed, number))
-        except TargetNotFound as error:
-            missed.append(str(error))
-    return Recordings((), (), (), truth, edges=tuple(edges), missed=tuple(missed))
 
 
 def _record_boards(column: Column, seed: int) -> Recordings:
