@@ -7,17 +7,13 @@ has moved, and one pose is recorded. A change of 1 U is the expanded uncertainty
 between the two calibrations. Without images; the stars have noise of .014 px.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import measured
 import numpy as np
 
-from calib.calibration import Calibration, CalibrationOptions
-from calib.engine import calibrate
+from calib import Calibration, CalibrationOptions, Passport, calibrate
 from calib.model.gimbal_readings import GimbalReadings
-from calib.model.passport import Passport
 from calib.studies.camera_check import check_camera
 from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import CameraTruth

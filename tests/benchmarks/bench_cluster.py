@@ -12,8 +12,6 @@ share of time in which it has work, and by the CPU time of a piece of work besid
 is what two free processors would give.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -65,9 +63,8 @@ def main() -> None:
     begun = time.process_time(), time.monotonic()
     expected = serial(folder)
     print(f"serial: {len(expected)} runs, {time.process_time() - begun[0]:.0f} s CPU,", end=" ")
-    print(
-        f"{time.monotonic() - begun[1]:.0f} s; all converged: {all(r['converged'] for r in expected.values())}"
-    )
+    converged = all(row["converged"] for row in expected.values())
+    print(f"{time.monotonic() - begun[1]:.0f} s; all converged: {converged}")
     rng = random.Random(1)
     kills = Kills(rng)
     rows = kills.calibrate([str(folder / "runs"), "--workers", "2"], folder / "by-processes")
@@ -131,17 +128,8 @@ class Kills:
 
     def calibrate(self, words: list[str], output: Path) -> list[dict]:
         """Repeat the command until it has ended by itself; return the rows of its table."""
-        command = [
-            sys.executable,
-            "-m",
-            "bench",
-            "calibrate",
-            *words,
-            "--each",
-            "-o",
-            str(output),
-            "--table-only",
-        ]
+        words = ["calibrate", *words, "--each", "-o", str(output), "--table-only"]
+        command = [sys.executable, "-m", "bench", *words]
         log = output.with_suffix(".log").open("ab")
         while True:
             with subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log) as process:
@@ -320,10 +308,8 @@ def scaling(base: Path) -> None:
         end=" ",
     )
     print(f"a worker has work for {share[1]:.3f} and {share[2]:.3f} of the time")
-    print(
-        f"scaling from 1 to 2 workers: {2 * share[2] / share[1] * took[1].median_s / took[2].median_s:.2f}",
-        flush=True,
-    )
+    speed = share[2] / share[1] * took[1].median_s / took[2].median_s
+    print(f"scaling from 1 to 2 workers: {2 * speed:.2f}", flush=True)
 
 
 def _find_all(workers: Processes, place: Place, captures: list[str], task: Task, pieces: int) -> list:

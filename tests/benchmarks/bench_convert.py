@@ -7,8 +7,6 @@ Three recordings as an IMX636 sends them, of so many million events: sparse (sin
 is repeated to a gigabyte, with the clock going on. Each is converted once without a clock, and then some times with it.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from pathlib import Path

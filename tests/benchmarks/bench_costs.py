@@ -7,8 +7,6 @@ other work on the computer hardly changes, and its 95th percentile. The scaling 
 `bench_cluster.py --only scaling`. ``--write`` puts the tables into docs/measured/costs.md.
 """
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Sequence
 from dataclasses import replace
@@ -125,10 +123,8 @@ def _print_parts(pose: dict[str, Spread], run: dict[str, Spread], poses: int) ->
 def _print_sizes(costs: Costs) -> None:
     print("\n| size | |\n| --- | ---: |")
     print(f"| a recording | {costs.recording_mb:.2f} MB, {costs.events_m:.2f} million events |")
-    print(
-        f"| memory of a worker, largest | {costs.memory_mb:.0f} MB"
-        f" ({costs.program_mb:.0f} MB of it are the program) |"
-    )
+    sizes = f"{costs.memory_mb:.0f} MB ({costs.program_mb:.0f} MB of it are the program)"
+    print(f"| memory of a worker, largest | {sizes} |")
 
 
 def _print_sums(costs: Costs, paths: Sequence[Path], scaling: float) -> None:
@@ -144,9 +140,8 @@ def _print_sums(costs: Costs, paths: Sequence[Path], scaling: float) -> None:
             find * CAPTURES, fit * runs_of_captures, files * runs_of_captures, each * CAPTURES,
         ),
     }  # fmt: skip
-    print(
-        "\n| amount | stars | fits | reports | bytes read | 1 worker | 2 workers |\n| --- |" + " ---: |" * 6
-    )
+    print("\n| amount | stars | fits | reports | bytes read | 1 worker | 2 workers |")
+    print("| --- |" + " ---: |" * 6)
     for what, (stars, fits, reports, size) in amounts.items():
         total = stars + fits + reports
         print(

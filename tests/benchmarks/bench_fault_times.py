@@ -102,9 +102,8 @@ def measure(folder: Path, fault: str, state: str) -> str:
         station = write_station(folder / "station.yaml", server.section)
         bench = Bench.started(station, folder / "home")
         try:
-            text = "\n".join(
-                line for line in station.read_text().splitlines() if not line.startswith("simulation:")
-            )
+            lines = station.read_text().splitlines()
+            text = "\n".join(line for line in lines if not line.startswith("simulation:"))
             for name, port in bench.ports.items():
                 text = re.sub(rf"sim:{name}(?![\w-])", port, text)
             station.write_text(text + "\n")
@@ -134,9 +133,8 @@ def measure(folder: Path, fault: str, state: str) -> str:
             bench.process.communicate()
     end = journal(run)[-1]
     states = ", ".join(f"{device['device']} {device['state']}" for device in end.get("devices", ()))
-    times = "".join(
-        "       -" if after_s is None else f" {after_s:7.1f}" for after_s in (seen_s, message_s, ended_s)
-    )
+    after_s = (seen_s, message_s, ended_s)
+    times = "".join("       -" if took_s is None else f" {took_s:7.1f}" for took_s in after_s)
     return f"{fault:28}{state:10}{times}  {end.get('how', '?'):9} {what[:110]!r} {states}"
 
 

@@ -9,8 +9,6 @@ For each world, kind of statements and number of poses: the median over the seed
 same stars, and two coefficients of distortion, as ours.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Iterator
@@ -57,10 +55,8 @@ def rows(given: argparse.Namespace) -> Iterator[tuple[str, list[tuple[float, flo
     for world, known, poses in product(given.worlds, given.known, given.poses):
         if known == "0" or not world.endswith(("S1", "S2")):
             benches = [drawn(world, poses, seed) for seed in given.seeds]
-            yield (
-                f"{world}, {known}, {poses}",
-                [seconds(views_of(bench), options_for(bench, known)) for bench in benches],
-            )
+            took = [seconds(views_of(bench), options_for(bench, known)) for bench in benches]
+            yield f"{world}, {known}, {poses}", took
     if given.recordings:
         views = read(given.recordings)
         yield f"recordings, 0, {len(views)}", [seconds(views, CalibrationOptions()) for _ in given.seeds]

@@ -11,8 +11,6 @@ The sizes of the collimator's errors were set by hand, after the ``rms_px`` of n
 and 1. The rows use other seeds. A laboratory takes its size from a finished run.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from itertools import product
@@ -21,16 +19,18 @@ import measured
 import numpy as np
 
 from bench.solve.solve_options import limited_numbers
-from calib.calibration import CalibrationOptions
-from calib.engine import calibrate
-from calib.errors import CalibrationError
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
+from calib import (
+    CalibrationError,
+    CalibrationOptions,
+    CameraModel,
+    Collimator,
+    Passport,
+    StarTarget,
+    calibrate,
+)
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
-from calib.model.passport import Passport
 from calib.studies.planning import Forecast, forecast
 from calib.studies.predicted_views import CollimatorErrors, ExpectedBench
-from calib.target import StarTarget
 from tests.support.drawn_benches import POSES, STAR_SIGMA_PX, DrawnBench, draw_bench
 
 ERRORS = {
@@ -107,11 +107,8 @@ def main() -> None:
     ratios = []
     for poses, profile, asked in product(given.poses, given.profiles, given.asked):
         ratios.append(ratio := row(profile, poses, asked, given.seeds))
-        print(
-            f"{profile:<11}{poses:>5}  {asked:<12}{ratio[0]:>7.2f}{ratio[1]:>7.2f}",
-            file=sys.stderr,
-            flush=True,
-        )
+        text = f"{profile:<11}{poses:>5}  {asked:<12}{ratio[0]:>7.2f}{ratio[1]:>7.2f}"
+        print(text, file=sys.stderr, flush=True)
     apart = np.exp(np.abs(np.log(ratios)))
     fx, corner = (apart <= FACTOR).sum(axis=0)
     print(f"| {len(ratios)} forecasts | fx | corner |\n| --- | --- | --- |")

@@ -5,8 +5,6 @@
 Results are kept in a file: after Ctrl-C, the same command continues, and ``--ready`` shows what is there.
 """
 
-from __future__ import annotations
-
 import measured
 from compared.pictures import draw_image_counts
 from compared.repetitions import columns_here, options, repeated

@@ -6,8 +6,6 @@ All but a batch work in a child, with virtual devices on a virtual clock; a batc
 simulated benches, whose supervisor is killed; its worker ends too.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -203,9 +201,7 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
 def main() -> None:
     """Print the table."""
     parser = measured.options(__doc__)
-    parser.add_argument(
-        "--kills", type=int, default=12, help="kills of run, resume, seal and certificate each"
-    )
+    parser.add_argument("--kills", type=int, default=12, help="of run, resume, seal and certificate each")
     parser.add_argument("--batch", type=int, default=12, help="kills of a batch")
     given = parser.parse_args()
     chance = random.Random(1)

@@ -10,15 +10,13 @@ width of the edges as measured; poses that were refused.
     python tests/benchmarks/bench_lights.py [--poses 3] [--rows noise | light | focus | roll]
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
 
 import measured
 import numpy as np
-from star_scores import event_images, star_scores, whole_stars
+from star_scores import event_images, random_pose, star_scores, whole_stars
 
 from calib.errors import CalibrationError
 from calib.stars.detect import detect_stars
@@ -80,11 +78,8 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
     sensor.begin(render(truth, rotation), light, phase)
     events = sensor.run(length_us)
     words = Evt3Writer().write(*events, until_us=math.ceil(length_us) + 1).size
-    figures = {
-        "rate": events.t.size / length_us,
-        "gbit_s": 16e-3 * words / length_us,
-        "waited": sensor.stalled_us / length_us,
-    }
+    figures = {"rate": events.t.size / length_us, "gbit_s": 16e-3 * words / length_us}
+    figures["waited"] = sensor.stalled_us / length_us
     size = truth.camera.width, truth.camera.height
     try:
         images = event_images(events, light, phase, size, length_us, periods)
@@ -95,12 +90,8 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
     scores = star_scores(view, truth, rotation, whole_stars(truth, rotation))
     means = {"square": scores["square"] / 2.0 / len(view), "z_square": scores["z_square"] / len(view)}
     sigma = float(np.median(np.sqrt(np.trace(view.covariances_px2, axis1=1, axis2=2) / 2.0)))
-    return (
-        figures
-        | scores
-        | means
-        | {"per_edge": images.facts.events_per_edge, "sigma": sigma, "width": width_px}
-    )
+    own = {"per_edge": images.facts.events_per_edge, "sigma": sigma, "width": width_px}
+    return figures | scores | means | own
 
 
 def main() -> None:
@@ -110,10 +101,7 @@ def main() -> None:
     parser.add_argument("--rows", choices=tuple(ROWS), action="append")
     options = parser.parse_args()
     rng = np.random.default_rng(5)
-    poses = [
-        {"pan": rng.uniform(-6, 6), "tilt": rng.uniform(-3, 3), "roll": rng.uniform(0, 360)}
-        for _ in range(options.poses)
-    ]
+    poses = [random_pose(rng) for _ in range(options.poses)]
     print(
         "waveform noise    Hz level ms  blur roll | Mev/s Gbit/s waited edge | rms px  sigma     z missed width refused"
     )
@@ -123,9 +111,8 @@ def main() -> None:
             row["window_ms"] = max(row["window_ms"], 1e3 / row["frequency_hz"])
             tried = [try_pose(row, pose, seed) for seed, pose in enumerate(poses, start=1)]
             solved = [pose for pose in tried if "square" in pose]
-            mean = {
-                key: float(np.mean([pose[key] for pose in solved])) for key in (solved[0] if solved else {})
-            }
+            keys = solved[0] if solved else {}
+            mean = {key: float(np.mean([pose[key] for pose in solved])) for key in keys}
             link = [np.mean([pose[key] for pose in tried]) for key in ("rate", "gbit_s", "waited")]
             text = (
                 f"{row['waveform']:8s} {row['noise']:7s} {row['frequency_hz']:3d} {row['level_percent']:4d} "

@@ -6,8 +6,6 @@ RUN is a sealed run of this bench (STARBENCH_HOME has its key). Its files are li
 enters each of them. The index of the home is removed before each round. A command is a process of its own; the panel looks at its folder within one process.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

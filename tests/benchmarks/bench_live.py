@@ -6,8 +6,6 @@
 distance of the tag from the middle of the image, px, after the turn that the figures give.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

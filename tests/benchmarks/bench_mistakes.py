@@ -8,8 +8,6 @@ result is a line of JSON; a later run goes on. Columns: results, right cause fir
 rightly none), silent, wrong cause first.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import measured
@@ -23,18 +21,14 @@ HEALTHY = 2000
 def main() -> None:
     parser = measured.options(__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument(
-        "--only", nargs="+", default=[""], help="mistakes whose name holds one of these words"
-    )
+    parser.add_argument("--only", nargs="+", default=[""], help="those whose name holds one of these words")
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds of each mistake")
     parser.add_argument("--healthy", type=int, default=100, help="number of benches without a mistake")
     parser.add_argument("--runs", action="store_true", help="whole runs instead of views")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--table", action="store_true", help="print the table of the file only")
     parser.add_argument("--told", action="store_true", help="print what is told of the first seed too")
-    parser.add_argument(
-        "--page", action="store_true", help="write the numbers into docs/measured/mistakes.md"
-    )
+    parser.add_argument("--page", action="store_true", help="write into docs/measured/mistakes.md")
     given = parser.parse_args()
     known, work = (RUN_MISTAKES, mistaken_run) if given.runs else (MISTAKES, mistaken)
     names = [name for name in known if any(word in name for word in given.only)]

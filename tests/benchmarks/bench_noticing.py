@@ -3,8 +3,6 @@
 Runs on simulated controllers and a virtual clock: the figures do not depend on the machine.
 """
 
-from __future__ import annotations
-
 import measured
 import numpy as np
 

@@ -9,8 +9,6 @@ a machine of the same class; they are not run here.
     python tests/benchmarks/bench_pixels.py [--write]
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from typing import Literal

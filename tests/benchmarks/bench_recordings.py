@@ -8,8 +8,6 @@ its standard error: triples share views, so each view is left out in turn), stat
 triples are within U of the value by all views.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -6,8 +6,6 @@ Whoever changes a file also puts right every hash and file that follows from it,
 simulated bench is made once and copied for each change.
 """
 
-from __future__ import annotations
-
 import logging
 import sys
 import tempfile

@@ -11,8 +11,6 @@ known, and poses in the file are not computed again. The table lists, by the vis
 views labelled and refused, stars found of the complete ones, stars wrong by more than half a pixel, and z-scores.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import time
@@ -25,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from star_scores import event_images, star_scores
 
-from calib.errors import CalibrationError
+from calib import CalibrationError, detect_view
 from calib.model.homography import fit_homography
-from calib.stars.detect import detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, Truth
@@ -46,15 +43,13 @@ def image_of(picture: NDArray[Any], kind: str, level: str, rng: np.random.Genera
     if kind.startswith("photo"):
         bits = int(kind.removeprefix("photo-"))
         noisy = 0.1 + 0.7 * picture + READ_NOISE[level] * rng.standard_normal(picture.shape)
-        image = np.round(np.clip(noisy, 0.0, 1.0) * (2**bits - 1)).astype(
-            np.uint8 if bits == 8 else np.uint16
-        )
+        kind_of_grey = np.uint8 if bits == 8 else np.uint16
+        image = np.round(np.clip(noisy, 0.0, 1.0) * (2**bits - 1)).astype(kind_of_grey)
     else:
         light = LightState(waveform=kind, output=True, sync=True)
         phase, seed = float(rng.random()), int(rng.integers(1 << 30))
-        events = simulate(
-            picture, light, WINDOW_US, phase=phase, noise=NOISE_LEVELS[level], camera_seed=7, seed=seed
-        )
+        noise = NOISE_LEVELS[level]
+        events = simulate(picture, light, WINDOW_US, phase=phase, noise=noise, camera_seed=7, seed=seed)
         size = picture.shape[1], picture.shape[0]
         image = event_images(events, light, phase, size, WINDOW_US).best().image
     return image.max() - image if rng.random() < 0.5 else image
@@ -86,11 +81,8 @@ def try_pose(seed: int, number: int) -> Pose:
     optics = dataclasses.replace(Truth().optics, psf_px=float(rng.uniform(0.4, 1.0)))
     truth = dataclasses.replace(Truth(), optics=optics)
     off_axis_deg, towards = FURTHEST_DEG * rng.random() ** 0.5, rng.uniform(0, 2 * np.pi)
-    pose = {
-        "pan": off_axis_deg * np.cos(towards),
-        "tilt": off_axis_deg * np.sin(towards),
-        "roll": rng.uniform(0, 360),
-    }
+    across = off_axis_deg * np.array([np.cos(towards), np.sin(towards)])
+    pose = {"pan": across[0], "tilt": across[1], "roll": rng.uniform(0, 360)}
     rotation = pose_rotation(pose, optics)
     kind, level = KINDS[rng.integers(len(KINDS))], LEVELS[rng.integers(len(LEVELS))]
     image = image_of(render(truth, rotation), kind, level, rng)

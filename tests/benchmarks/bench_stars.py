@@ -10,19 +10,16 @@ wrong by more than half a pixel; CPU seconds of one core for detection (median v
 The pitch of stars is 48 px.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
 import measured
 import numpy as np
 from short_recordings import images_of, record
-from star_scores import star_scores, whole_stars
+from star_scores import random_pose, star_scores, whole_stars
 
-from calib.errors import CalibrationError
+from calib import CalibrationError, detect_view
 from calib.events.event_image import EventImages
-from calib.stars.detect import detect_view
 from simulators.optics.picture import TARGET, pose_rotation
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
 
@@ -45,12 +42,7 @@ def main() -> None:
     options = parser.parse_args()
     truth = Truth(collimator=CollimatorTruth(r=280.0, half_angle_deg=16.0))
     rng = np.random.default_rng(2)
-    poses = [
-        pose_rotation(
-            {"pan": rng.uniform(-6, 6), "tilt": rng.uniform(-3, 3), "roll": rng.uniform(0, 360)}, truth.optics
-        )
-        for _ in range(options.poses)
-    ]
+    poses = [pose_rotation(random_pose(rng), truth.optics) for _ in range(options.poses)]
     wholly = [len(whole_stars(truth, rotation)) for rotation in poses]
     print(f"stars wholly in view: {min(wholly)} to {max(wholly)}")
     print("drive   noise    image           rms px    z  missed/whole  wrong  stars  detection CPU s, 95 %")

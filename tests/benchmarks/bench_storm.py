@@ -6,8 +6,6 @@ FOLDER is new. Prints for each run how it ended, how late the computer was, and 
 then the delays of all runs in one histogram. A message with a wrong remedy makes the exit status 1.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -81,9 +79,8 @@ def main() -> int:
             f"  lost {lateness.get('lost_s', 0.0):6.1f} s, longest {lateness.get('longest_s', 0.0):5.2f} s"
             f"{'  WRONG REMEDY' if bad else ''} {why}"
         )
-    print(
-        f"{time.monotonic() - began_s:.0f} s; load {min(loads):.1f} to {max(loads):.1f}; wrong remedies: {wrong}"
-    )
+    loaded = f"load {min(loads):.1f} to {max(loads):.1f}"
+    print(f"{time.monotonic() - began_s:.0f} s; {loaded}; wrong remedies: {wrong}")
     return int(wrong > 0)
 
 

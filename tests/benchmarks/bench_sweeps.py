@@ -6,8 +6,6 @@
 never grows by more than 10 %. Each part prints U of fx along the way and the largest step of each number.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path

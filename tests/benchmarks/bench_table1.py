@@ -6,8 +6,6 @@ Each repetition records new event images of a star target, a board or a box, and
 Results are kept in a file: after Ctrl-C, the same command continues, and ``--ready`` shows what is there.
 """
 
-from __future__ import annotations
-
 import measured
 from compared.pictures import draw_errors
 from compared.repetitions import columns_here, options, repeated

@@ -10,8 +10,6 @@ minutes. The world `stranger` needs Optiland; 0 poses: the seed decides. ``--tab
 calibrates nothing; ``--page`` prints the short one of docs/measured. The seeds decide everything that is drawn.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator
@@ -46,17 +44,15 @@ def main() -> None:
     given = parser.parse_args()
     if given.quick:
         vars(given).update(QUICK)
-    done = measured.kept(
-        given.output, lambda line: (line["world"], line["poses_asked"], line["seed"], line["known"])
-    )
+    parts = ("world", "poses_asked", "seed", "known")
+    done = measured.kept(given.output, lambda line: tuple(line[part] for part in parts))
     if not given.table:
         print(f"engine: {Path(calib.__file__).parent}", file=sys.stderr)
         judged = partial(result, lens=given.lens)
         measured.add_missing(given.output, done, asked(given), judged, given.jobs)
     wanted = set(asked(given))
-    print(
-        (page if given.page else table)([line for key, line in done.items() if key in wanted or given.table])
-    )
+    lines = [line for key, line in done.items() if key in wanted or given.table]
+    print((page if given.page else table)(lines))
 
 
 def asked(given: argparse.Namespace) -> Iterator[Key]:

@@ -7,8 +7,6 @@ pupil on the axis), field curvature (|h|^2 s for a pupil aside by s), astigmatis
     python tests/benchmarks/prescribed_errors.py [--seeds 4] [--write]
 """
 
-from __future__ import annotations
-
 import measured
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Event images of simulated recordings, and how far the stars that are found in a view are from the truth."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -22,6 +20,11 @@ def event_images(
     edge_us = -phase * light.period_us % light.period_us
     flicker = Flicker(light.period_us, edge_us, light.high_share, 0.0, 0, "triggers")
     return make_images(*events, size, flicker, window_us=(0.0, window_us), periods=periods)
+
+
+def random_pose(rng: np.random.Generator) -> dict[str, float]:
+    """Draw pan, tilt and roll, degrees."""
+    return {"pan": rng.uniform(-6, 6), "tilt": rng.uniform(-3, 3), "roll": rng.uniform(0, 360)}
 
 
 def whole_stars(truth: Truth, rotation: Any) -> Any:

@@ -1,7 +1,5 @@
 """A fake controller that answers lines of text, and an axis that it moves: for tests of a user's description."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

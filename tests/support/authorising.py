@@ -13,9 +13,7 @@ from bench.evidence.personal_key import load_file_key
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
 from bench.evidence.ssh_keys import string
 
-needs_ssh_keygen = pytest.mark.skipif(
-    shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"
-)
+needs_ssh_keygen = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen")
 needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 needs_certificates = pytest.mark.skipif(
     find_spec("bench.extras") is None, reason="certificates are an extra, which is not here"

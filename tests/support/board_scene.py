@@ -96,9 +96,8 @@ def _circle(radius_mm: float) -> FloatArray:
 
 def _paper(low: FloatArray, high: FloatArray, tile_mm: float) -> FloatArray:
     """Return white paper as tiles; a single large ring would be left out if all its corners lie out of view."""
-    across, down = (
-        np.linspace(a, b, 1 + math.ceil((b - a) / tile_mm)) for a, b in zip(low, high, strict=True)
-    )
+    ends = zip(low, high, strict=True)
+    across, down = (np.linspace(a, b, 1 + math.ceil((b - a) / tile_mm)) for a, b in ends)
     x, y = np.meshgrid(across, down)
     corners = np.stack([x, y], axis=-1)
     ring = [corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]]
@@ -236,10 +235,8 @@ def picture(
 ) -> NDArray[np.float32]:
     """Return each pixel's share of the full light, after blur and point spread (areas: Levien, 2016)."""
     placed, camera = placed_board(truth, board, angles_deg), camera_of(truth)
-    outline = (
-        np.array([[x, y] for x in (0, 1) for y in (0, 1)]) * np.subtract(*board.paper_mm[::-1])
-        + board.paper_mm[0]
-    )
+    corners_mm = np.array([[x, y] for x in (0, 1) for y in (0, 1)]) * np.subtract(*board.paper_mm[::-1])
+    outline = corners_mm + board.paper_mm[0]
     ahead = outline[placed.depth_mm(outline) > NEAREST_MM]
     seen = np.asarray(image_points(np.ascontiguousarray(ahead), placed.projection(truth)))
     blur = plane_blur(truth, seen, placed.rotation, placed.position)

@@ -18,9 +18,8 @@ def off_px(camera, coefficients, *, fisheye=False, matrix=K, skew_px=0.0):
     matrix, still = np.array(matrix), np.zeros(3)
     if fisheye:
         alpha = skew_px / matrix[0, 0]
-        seen = cv2.fisheye.projectPoints(
-            rays[:, None], still, still, matrix, np.array(coefficients), alpha=alpha
-        )[0]
+        lens = np.array(coefficients)
+        seen = cv2.fisheye.projectPoints(rays[:, None], still, still, matrix, lens, alpha=alpha)[0]
     else:
         seen = cv2.projectPoints(rays, still, still, matrix, np.array(coefficients))[0]
     return np.abs(seen.reshape(-1, 2) - POINTS).max()

@@ -44,9 +44,6 @@ def check_words(line):
         assert command is not None, f"there is no command {name!r}"
     values, rest, _ = command.make_parser(click.Context(command)).parse_args(words)
     assert rest == []
-    given = {
-        name
-        for name, value in values.items()
-        if value is not None and value is not getattr(click.core, "UNSET", None)
-    }
+    unset = (None, getattr(click.core, "UNSET", None))
+    given = {name for name, value in values.items() if not any(value is none for none in unset)}
     return [p.name for p in command.params if p.required and p.name not in given]

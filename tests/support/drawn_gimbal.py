@@ -69,9 +69,8 @@ def draw_gimbal(
     rotations = np.array(turns)
     if wrong is not None:
         tipped = rng.standard_normal(3)
-        rotations[wrong[0]] = (
-            exp_map(np.deg2rad(wrong[1]) * tipped / np.linalg.norm(tipped)) @ rotations[wrong[0]]
-        )
+        axis = tipped / np.linalg.norm(tipped)
+        rotations[wrong[0]] = exp_map(np.deg2rad(wrong[1]) * axis) @ rotations[wrong[0]]
     from_middle = log_map(rotations @ rotations[count // 2].T)
     rotations = exp_map(focal_error * from_middle) @ rotations
     if bias_deg:  # errors of a collimator: a smooth part, quadratic in the angles, and a part of each view
@@ -81,6 +80,5 @@ def draw_gimbal(
         rotations = exp_map(np.deg2rad(bias_deg) * (0.5 * bends + 0.7 * own)) @ rotations
     rotations = exp_map(sigma * rng.standard_normal((count, 3))) @ rotations
     shared = focal_sigma * from_middle.reshape(-1, 1)
-    return DrawnGimbal(
-        rotations, sigma**2 * np.eye(3 * count) + shared @ shared.T, angles, scales, focal_sigma
-    )
+    covariance = sigma**2 * np.eye(3 * count) + shared @ shared.T
+    return DrawnGimbal(rotations, covariance, angles, scales, focal_sigma)

@@ -3,10 +3,8 @@
 import numpy as np
 
 from bench.solve.exports import camera_info
-from calib.model.camera import CameraModel
+from calib import CameraModel, StarTarget, View
 from calib.model.rotation import exp_map, log_map
-from calib.target import StarTarget
-from calib.view import View
 
 SIZES = (1280, 720), (1920, 1200)
 SIGMA = np.array([1.0, 1.0, 1.2, 1.4, 6e-3, 3e-2])
@@ -49,9 +47,8 @@ class Drawn:
         self.stated = [c.with_values(c.values + SIGMA * rng.standard_normal(6)) for c in self.cameras]
 
     def off(self, rig):
-        return np.concatenate(
-            [log_map(rig.rotation @ self.rotation.T), rig.translation_mm - self.translation]
-        )
+        turned = log_map(rig.rotation @ self.rotation.T)
+        return np.concatenate([turned, rig.translation_mm - self.translation])
 
     def write_boards(self, folder):
         """Write each camera's point files of the boards into `left` and `right`, and its intrinsics beside them."""

@@ -14,11 +14,8 @@ THREE = (("left", -6, 2), ("right", 6, 2), ("below", 0, -3))
 
 def expected_views(poses, *, sigma_px, seed, station=None):
     """Views with the names of the poses."""
-    bench, rng, views = (
-        expected_bench(station or load_station("simulated_ideal")),
-        np.random.default_rng(seed),
-        [],
-    )
+    bench = expected_bench(station or load_station("simulated_ideal"))
+    rng, views = np.random.default_rng(seed), []
     for name, pan, tilt in poses:
         view, _ = predicted_view(bench, {"pan_deg": pan, "tilt_deg": tilt}, name)
         views.append(replace(view, points_px=view.points_px + rng.normal(0, sigma_px, view.points_px.shape)))

@@ -3,9 +3,8 @@
 import cv2
 import numpy as np
 
+from calib import CameraModel, Collimator
 from calib.calibration import Calibration, ViewSummary
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
 
 RADIAL = {"k1": 0.06, "k2": -0.9}
 BROWN = {**RADIAL, "p1": 1e-5, "p2": -0.0002}

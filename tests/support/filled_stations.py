@@ -1,6 +1,7 @@
 """Example and drafted station files as a person fills them in."""
 
 import re
+from collections import defaultdict
 
 from bench.stations.placeholders import (
     UNKNOWN_ADDRESS,
@@ -25,14 +26,10 @@ _TEXTS = {
 
 def filled(text: str) -> str:
     """Return a station file with a value in place of every placeholder."""
-    text = re.sub(
-        rf"(\w+): {UNKNOWN_NUMBER}",
-        lambda match: f"{match[1]}: {'2.5' if match[1] == 'high_v' else '6400'}",
-        text,
-    )
-    text = text.replace(
-        f"driver: metavision\n  serial: {UNKNOWN_SERIAL}", "driver: metavision\n  serial: 00051234"
-    )
+    numbers = defaultdict(lambda: "6400", high_v="2.5")
+    text = re.sub(rf"(\w+): {UNKNOWN_NUMBER}", lambda key: f"{key[1]}: {numbers[key[1]]}", text)
+    metavision = "driver: metavision\n  serial: "
+    text = text.replace(metavision + UNKNOWN_SERIAL, metavision + "00051234")
     count = 0
 
     def next_value(match: re.Match[str]) -> str:

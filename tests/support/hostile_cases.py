@@ -339,15 +339,8 @@ def controls(run: Path) -> Iterator[Case]:
 
 def all_cases(run: Path) -> list[Case]:
     """All cases, in a fixed order; without `bench.extras`, those of its commands are left out."""
-    cases = [
-        *controls(run),
-        *wrong_files(run),
-        *spoilt_files(),
-        *stations(),
-        *run_folders(run),
-        *odd_folders(run),
-        *homes(run),
-    ]
+    cases = [*controls(run), *wrong_files(run), *spoilt_files(), *stations()]
+    cases += [*run_folders(run), *odd_folders(run), *homes(run)]
     if find_spec("bench.extras") is None:
         return [case for case in cases if _EXTRAS.isdisjoint(re.split("[:-]", case.name))]
     return cases
@@ -358,12 +351,8 @@ def few_cases(run: Path) -> list[Case]:
     cases = all_cases(run)
     chosen = [case for case in cases if case.name.startswith("control:")]
     wanted = {f"{reader}:{wrong}" for reader in _FEW_READERS for wrong in FEW_WRONG}
-    wanted |= {
-        "run-folder:status:journal.jsonl:sparse",
-        "run-folder:runs:journal.jsonl:fifo",
-        "station:spy-url",
-    }
+    wanted |= {"run-folder:status:journal.jsonl:sparse", "run-folder:runs:journal.jsonl:fifo"}
     wanted |= {"camera:check:opencv-torn", "camera:rig:infinite-size", "camera:undistort:many-pixels"}
-    wanted |= {"camera:step:fisheye", "station:limits-crossed"}
+    wanted |= {"camera:step:fisheye", "station:limits-crossed", "station:spy-url"}
     wanted |= {"picture:bomb.png", "picture:loop.tif", "name:escape-sequences", "plan-sequence:tag"}
     return [*chosen, *(case for case in cases if case.name in wanted)]

@@ -61,6 +61,14 @@ class MadeRun:
         with self.path.open("ab") as stream:
             stream.write(self.line(event, **data))
 
+    def enter(self, state: str, before: str, **more: Any) -> None:
+        """Write that a state is entered."""
+        with self.path.open("ab") as stream:
+            stream.write(self._entering(state, before, **more))
+
+    def _entering(self, state: str, before: str, **more: Any) -> bytes:
+        return self.line("entering", state=state, **{"from": before}, **more)
+
     def begin(self, **more: Any) -> MadeRun:
         """Write what a run writes before its first pose, its first line with ``more``."""
         with self.path.open("ab") as stream:
@@ -82,7 +90,7 @@ class MadeRun:
     def end(self, how: str = "finished", why: str = "", **more: Any) -> MadeRun:
         """Write the end."""
         state = {"finished": "finished", "aborted": "aborted", "failed": "failed"}[how]
-        self.write("entering", state=state, **{"from": "checking"})
+        self.enter(state, "checking")
         self.write("run_ended", how=how, why=why, **more)
         return self
 
@@ -91,7 +99,7 @@ class MadeRun:
             "run_started", id=self.folder.name, sequence="Made up", station="Bench", sha256={}, seed=1, operator="Ada",
             simulated=True, software={}, **more,
         )  # fmt: skip
-        yield self.line("entering", state="preflight", **{"from": "idle"})
+        yield self._entering("preflight", "idle")
         camera = {"maker": "M", "model": "EVK4", "serial": "42", "width": 640, "height": 360}
         yield self.line("devices", camera=camera, stage=[], light={}, camera_settings={})
         yield self.line("left_off", state="preflight")
@@ -100,14 +108,10 @@ class MadeRun:
         step, name, at = 2 * pose, f"pose {pose}", {"pose": pose, "pose_name": f"pose {pose}"}
         if attempt == 1:
             angles = {"pan": 0.01 * pose, "tilt": -0.01 * pose}
-            yield self.line(
-                "entering", state="slewing", **{"from": "checking"}, step=step - 1, target_deg=angles, **at
-            )
+            yield self._entering("slewing", "checking", step=step - 1, target_deg=angles, **at)
             yield self.line("left_off", state="slewing")
             yield self.line("step_done", step=step - 1)
-        yield self.line(
-            "entering", state="recording", **{"from": "slewing"}, step=step, attempt=attempt, **at
-        )
+        yield self._entering("recording", "slewing", step=step, attempt=attempt, **at)
         capture = f"captures/pose-{pose:03d}-attempt-{attempt}.raw"
         degrees = {"pan": 0.01 * pose, "tilt": -0.01 * pose}
         facts = {"width": 640, "height": 360, "events": 4_000_000, "duration_s": 0.05, "temperature_c": 40.0}
@@ -116,9 +120,7 @@ class MadeRun:
             commanded_deg=degrees, measured_deg=degrees, measured_after_deg=degrees,
             light={"waveform": "square", "frequency_hz": 60.0}, facts=facts,
         )  # fmt: skip
-        yield self.line(
-            "entering", state="checking", **{"from": "recording"}, step=step, attempt=attempt, **at
-        )
+        yield self._entering("checking", "recording", step=step, attempt=attempt, **at)
         gates = GATES if accepted else [{**GATES[0], "value": 3, "verdict": "fail"}, GATES[1]]
         yield self.line(
             "attempt_checked", pose=pose, attempt=attempt, accepted=accepted, stars=stars, gates=gates,
@@ -133,9 +135,8 @@ def _plan(poses: int, prompt: bool) -> dict[str, Any]:
     steps, after_s = [], 1.0
     for number, (kind, pose) in enumerate(kinds, 1):
         after_s += 0.5
-        steps.append(
-            {"number": number, "what": kind, "duration_s": 0.5, "done_after_s": after_s, "pose": pose}
-        )
+        step = {"number": number, "what": kind, "duration_s": 0.5, "done_after_s": after_s}
+        steps.append(step | {"pose": pose})
     tail = [("prompt", 100.0)] if prompt else []
     for kind, duration_s in [*tail, ("solve", 1.0)]:
         after_s += duration_s

@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from calib import Calibration, CalibrationOptions, View, calibrate
 from calib.calibration import ModelName
-from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.model.beam import visible_discs
 from calib.model.rim_fit import Disc
-from calib.view import View
 from simulators.optics import picture as optics
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
 

@@ -8,14 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib import CalibrationOptions, Collimator, ExpectedBench, View, calibrate, predicted_view
 from calib.arrays import Array
-from calib.calibration import CalibrationOptions
-from calib.engine import calibrate
 from calib.errors import CalibrationError, NotConverged
-from calib.model.collimator import Collimator
 from calib.model.result_parts import COVERAGE
-from calib.studies.predicted_views import ExpectedBench, predicted_view
-from calib.view import View
 
 #: Probability of the band in which the observed coverage must lie.
 _BAND = 0.999

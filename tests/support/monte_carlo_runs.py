@@ -9,9 +9,8 @@ from calib.uncertainty.covariance import without_pose
 
 def run_monte_carlo(bench, poses_deg, options, runs, seed, **noise):
     """The study of so many runs, one after another; ``noise`` is ``drift_mm`` and ``outliers``."""
-    return study_of(
-        bench, [calibrate_once(bench, poses_deg, options, seed, run, **noise) for run in range(runs)]
-    )
+    runs = (calibrate_once(bench, poses_deg, options, seed, run, **noise) for run in range(runs))
+    return study_of(bench, list(runs))
 
 
 def z_of_all(study):

@@ -1,9 +1,6 @@
 """The paper's camera before a narrow beam, and three poses of it: what the simulated numbers are told for."""
 
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
-from calib.studies.predicted_views import ExpectedBench
-from calib.target import StarTarget
+from calib import CameraModel, Collimator, ExpectedBench, StarTarget
 
 #: Stars 26 px apart, 4.5 degrees of half angle, r = 700 mm.
 PITCH = 5.45

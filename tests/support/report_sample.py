@@ -9,10 +9,9 @@ import numpy as np
 from bench.measure.view_picture import ViewPicture
 from bench.record.stored_run import results_of
 from bench.report.html import ReportData
-from calib.model.camera import CameraModel
+from calib import CameraModel, StarTarget
 from calib.model.result_parts import Boresight
 from calib.model.rotation import exp_map
-from calib.target import StarTarget
 
 RESULTS = Path(__file__).with_name("report_results.json")
 """results.json of the made-up run, without what follows from its views."""

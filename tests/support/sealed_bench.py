@@ -28,9 +28,8 @@ def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=N
     with Journal.create(folder / "journal.jsonl", utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
         journal.append("run_started", id="run", simulated=True, **({"rehearsal": True} if rehearsal else {}))
         journal.append("run_ended", how=how, why="")
-    (folder / "results.json").write_bytes(
-        RESULTS.read_bytes() if results is None else canonical_json(results)
-    )
+    stored = RESULTS.read_bytes() if results is None else canonical_json(results)
+    (folder / "results.json").write_bytes(stored)
     seal_folder(folder, ensure_key(home, principal="bench@lab"))
     return folder
 

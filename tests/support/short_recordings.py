@@ -23,12 +23,10 @@ def record(
     light = LightState(waveform=waveform, output=True, sync=True)
     phase = float(np.random.default_rng(seed).random())
     picture = render(truth, rotation)
-    events = simulate(
-        picture, light, WINDOW_US, phase=phase, noise=noise or truth.noise, camera_seed=7, seed=seed
-    )
-    return events, Flicker(
-        light.period_us, -phase * light.period_us % light.period_us, 0.5, 0.0, 0, "triggers"
-    )
+    seeds = {"camera_seed": 7, "seed": seed}
+    events = simulate(picture, light, WINDOW_US, phase=phase, noise=noise or truth.noise, **seeds)
+    edge_us = -phase * light.period_us % light.period_us
+    return events, Flicker(light.period_us, edge_us, 0.5, 0.0, 0, "triggers")
 
 
 def images_of(

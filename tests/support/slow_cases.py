@@ -5,8 +5,10 @@ import pytest
 
 def first_quick(cases, count=1):
     """The cases, all but the first ``count`` of them marked as slow."""
-    return [case if place < count else _slow(case) for place, case in enumerate(cases)]
+    quick, others = list(cases)[:count], list(cases)[count:]
+    return [*quick, *(slow(*case) if isinstance(case, tuple) else slow(case) for case in others)]
 
 
-def _slow(case):
-    return pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow)
+def slow(*case, **named):
+    """A case that is marked as slow; ``id`` may name it."""
+    return pytest.param(*case, marks=pytest.mark.slow, **named)

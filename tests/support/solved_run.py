@@ -39,9 +39,8 @@ def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
         pose = measure(self, *words)
         if pose.view is None:
             return pose
-        return Measurement(
-            pose.view, StoredImage.from_image(image_of(pose.view)), {**pose.facts, "image": IMAGE}
-        )
+        image = StoredImage.from_image(image_of(pose.view))
+        return Measurement(pose.view, image, {**pose.facts, "image": IMAGE})
 
     with (
         mock.patch("bench.batch.rehearsal.RehearsedResults", ResultWriter),

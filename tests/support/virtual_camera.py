@@ -4,8 +4,6 @@ It serves comparisons of methods, which need thousands of recordings. Optics, pi
 simulated bench; there are no drivers, files, triggers or times. The same section and seeds give the same events.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -96,9 +94,8 @@ class VirtualCamera:
         degrees, of the board at a time in us, as the section ``screen`` has them.
         """
         camera, light = self._truth.camera, _STEADY_LIGHT
-        sensor = Sensor(
-            camera.width, camera.height, noise=self._truth.noise, camera_seed=self._seed, seed=seed
-        )
+        seeds = {"camera_seed": self._seed, "seed": seed}
+        sensor = Sensor(camera.width, camera.height, noise=self._truth.noise, **seeds)
         sensor.begin(self._moved_picture(board_at(0.0)), light, 0.0)
         parts = []
         for step in range(1, max(1, round(duration_us / frame_us)) + 1):

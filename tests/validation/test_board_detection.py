@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from virtual_camera import VirtualCamera
 
+from calib import flicker_from_events, make_images
 from calib.boards.board import Board
 from calib.boards.detect import detect_board
-from calib.events.event_image import make_images
-from calib.events.flicker import flicker_from_events
 
 LENS = {"focus_distance_m": 1.3, "f_number": 4}
 CHECKER = {"kind": "checkerboard", "columns": 11, "rows": 7, "pitch_mm": 20}

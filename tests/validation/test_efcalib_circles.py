@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from opencv_planar import RADIAL_2, by_opencv
 
-from calib.engine import CalibrationOptions, calibrate
-from calib.view import View
+from calib import CalibrationOptions, View, calibrate
 
 SIZE = (346, 260)
 PLANAR = CalibrationOptions(model="planar", distortion="k1k2p1p2")
@@ -20,11 +19,8 @@ PLANAR = CalibrationOptions(model="planar", distortion="k1k2p1p2")
 @pytest.fixture(scope="module")
 def views():
     shared_data = Path(__file__).resolve().parents[3] / "shared" / "data"
-    file = (
-        Path(os.environ.get("STARBENCH_REFERENCE_DATA", shared_data))
-        / "efcalib_circles"
-        / "event_camera_circles.csv"
-    )
+    folder = Path(os.environ.get("STARBENCH_REFERENCE_DATA", shared_data))
+    file = folder / "efcalib_circles" / "event_camera_circles.csv"
     if not file.is_file():
         pytest.skip("the detections of EF-Calib are not here; STARBENCH_REFERENCE_DATA names their folder")
     table = np.genfromtxt(file, delimiter=",", skip_header=1)

@@ -157,9 +157,7 @@ def test_a_recording_converted_from_events_is_read_alike(evk4_recording, tmp_pat
 
 
 @pytest.mark.parametrize("reports", [1, 2, 7, 40])
-def test_whole_windows_lost_are_counted_and_their_events_said_to_be_at_least(
-    evk4_recording, tmp_path, reports
-):
+def test_whole_windows_lost_are_counted_and_their_events_at_least(evk4_recording, tmp_path, reports):
     """A stretch of the real recording is cut out, with the sensor's own reports in it."""
     whole = evk4_recording.read_bytes()
     start = RawFile.open(evk4_recording).raw_header.size_bytes

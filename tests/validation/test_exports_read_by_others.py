@@ -64,9 +64,8 @@ def ask(module, program, *arguments):
     python = python_with(module)
     if python is None:
         pytest.skip(f"{module} is not installed")
-    answer = subprocess.run(
-        [python, "-c", program, *map(str, arguments)], capture_output=True, text=True, check=False
-    )
+    words = [python, "-c", program, *map(str, arguments)]
+    answer = subprocess.run(words, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
     return json.loads(answer.stdout.splitlines()[-1])
 
@@ -97,9 +96,8 @@ def test_colmap_projects_to_the_same_pixels_half_a_pixel_further(exported):
         (folder / name).write_text("")
     answer = ask("pycolmap", COLMAP, folder, json.dumps(RAYS))
     assert answer["size"] == [1280, 720]
-    np.testing.assert_allclose(
-        np.array(answer["image"]) - 0.5, made.camera.project(np.array(RAYS)), atol=1e-9
-    )
+    expected = made.camera.project(np.array(RAYS))
+    np.testing.assert_allclose(np.array(answer["image"]) - 0.5, expected, atol=1e-9)
 
 
 def test_ros_reads_the_same_numbers(exported):

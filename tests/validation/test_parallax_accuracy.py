@@ -8,9 +8,8 @@ import pytest
 import yaml
 
 import sequences
-from calib.model.collimator import Collimator
+from calib import Collimator, detect_view
 from calib.model.homography import fit_homography
-from calib.stars.detect import detect_view
 from calib.stars.rim import find_rim
 from calib.studies.parallax import pupil_walk
 from simulators.optics.picture import TARGET, pose_rotation, star_centres

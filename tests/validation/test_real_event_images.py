@@ -1,16 +1,12 @@
 """A real IMX636 recording: no event is lost in its images, and no target is found that is not there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from bench.measure.measure import measure
+from calib import StarTarget, detect_view, make_images
 from calib.errors import TargetNotFound
-from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
-from calib.stars.detect import detect_view
-from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
 
 
@@ -25,9 +21,8 @@ def test_every_event_is_counted_in_its_pixel(recording):
     raw, events, _ = recording
     start, end = float(events.t[0]), float(events.t[-1]) + 1.0
     whole = Flicker((end - start) / 50.0, start, 0.5, 0.0, 0, "events")
-    made = make_images(
-        events.t, events.x, events.y, events.p, (raw.width, raw.height), whole, window_us=(start, end)
-    )
+    size = raw.width, raw.height
+    made = make_images(*events, size, whole, window_us=(start, end))
     on = np.zeros((raw.height, raw.width), int)
     np.add.at(on, (events.y[events.p == 1], events.x[events.p == 1]), 1)
     assert len(events.t) == 82_469

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.engine import CalibrationOptions, calibrate
-from calib.stars.detect import detect_view
+from calib import CalibrationOptions, calibrate, detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
 from simulators.world.truth import CameraTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config

@@ -54,9 +54,8 @@ def scores_without_images(profile, poses, seeds):
     """Return the root mean square of all errors, mm, and of the errors over their sigmas, for drawn rims."""
     errors, squares = [], []
     for seed in seeds:
-        bench = draw_rims(
-            truth_from_config({"collimator": {"profile": profile, "glass_seed": seed}}), poses, seed
-        )
+        truth = truth_from_config({"collimator": {"profile": profile, "glass_seed": seed}})
+        bench = draw_rims(truth, poses, seed)
         for disc, true in zip(bench.fitted(), bench.discs_mm, strict=True):
             off = disc.centre_mm - true
             errors.append(off)

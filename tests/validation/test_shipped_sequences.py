@@ -11,10 +11,7 @@ import numpy as np
 import pytest
 from flat import flatten
 
-from calib.calibration import CalibrationOptions
-from calib.engine import calibrate
-from calib.target import StarTarget
-from calib.view import View
+from calib import CalibrationOptions, StarTarget, View, calibrate
 from sequences.reader import read_document
 from sequences.schema import Sequence
 from sequences.script import RecordStep

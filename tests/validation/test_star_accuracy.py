@@ -1,7 +1,5 @@
 """Stars of simulated recordings compared with the truth: accurate, with true covariances, none missed, none wrong."""
 
-from __future__ import annotations
-
 import runpy
 from dataclasses import replace
 from pathlib import Path

@@ -1,15 +1,12 @@
 """How far the stars moved between the halves of a recording, against the simulated truth: half of it from each of two poses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from slow_cases import first_quick
 
-from calib.events.event_image import make_images
+from calib import detect_view, make_images
 from calib.events.flicker import Flicker
-from calib.stars.detect import detect_view
 from calib.stars.motion import shift_between_halves
 from simulators.optics.picture import TARGET, pose_rotation, project, render
 from simulators.pixels.sensor import simulate

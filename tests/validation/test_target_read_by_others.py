@@ -28,15 +28,9 @@ SETTINGS |= {"drawing": {"size_mm": (136, 128)}}
 POSITIVE = TargetConfig(**SETTINGS)
 NEGATIVE = TargetConfig(**SETTINGS, polarity="negative", tag_family="25h9")
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--hide-scrollbars",
-)
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run")
 FLAGS += ("--disable-background-networking", "--disable-component-update", "--disable-sync")
+FLAGS += ("--hide-scrollbars",)
 
 
 def written(folder: Path, target: TargetConfig, ending: str) -> Path:

@@ -9,16 +9,13 @@ camera: a longer collimator and a longer camera give the same image. They are ta
 hold the noise of the stars only.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
+from calib import Passport, View
 from calib.calibration import CalibrationOptions, rms_and_mean
 from calib.errors import DegenerateViews, NotConverged, TooFewStars
 from calib.fit import fit_model
 from calib.model.collimator import CENTRE
-from calib.model.passport import Passport
-from calib.view import View
 from tests.benchmarks.compared.reference_methods import MethodResult
 
 _FEWEST_STARS = 20

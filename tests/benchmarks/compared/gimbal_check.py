@@ -4,17 +4,14 @@ A star is the same direction in every image, so the rotation between two images 
 collimator enters. With a focal length that is too long by some share, the camera seems to turn less by that share.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.camera import CameraModel
+from calib import CameraModel, View
 from calib.model.rotation import exp_map, log_map, nearest_rotation
-from calib.view import View
 
 Array = NDArray[np.float64]
 

@@ -1,20 +1,21 @@
 """What each method makes of the images of one repetition, compared with the truth; its own stated uncertainty, too."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from calib.calibration import Calibration, CalibrationOptions
-from calib.engine import calibrate
-from calib.errors import CalibrationError
-from calib.model.camera import CameraModel
+from calib import (
+    Calibration,
+    CalibrationError,
+    CalibrationOptions,
+    CameraModel,
+    Passport,
+    StarTarget,
+    calibrate,
+)
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
-from calib.model.passport import Passport
-from calib.target import StarTarget
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 from tests.benchmarks.compared.reference_methods import (
     MethodResult,
@@ -90,12 +91,8 @@ def solve(column: Column, images: Images, images_cpu_s: float, seed: int) -> Row
 
 def failed_row(images: Images, images_cpu_s: float, why: str) -> Row:
     """Return the row of images of which a method makes nothing."""
-    return {
-        "views": len(images.views),
-        "missed": list(images.missed),
-        "error": why,
-        "images_cpu_s": images_cpu_s,
-    }
+    row = {"views": len(images.views), "missed": list(images.missed)}
+    return {**row, "error": why, "images_cpu_s": images_cpu_s}
 
 
 def _numbers(result: MethodResult, calibration: Calibration | None) -> Row:
@@ -122,11 +119,8 @@ def compare_with_truth(
     offset = np.asarray(camera_difference(camera, true, _ACROSS).offset_px)
     off_urad = np.linalg.norm(offset, axis=2) / true.fx * 1e6
     corners = off_urad[[0, 0, -1, -1], [0, -1, 0, -1]]
-    errors = {
-        name: camera.to_dict()[name] - value
-        for name, value in true.to_dict().items()
-        if name in camera.to_dict()
-    }
+    found, truths = camera.to_dict(), true.to_dict()
+    errors = {name: found[name] - truths[name] for name in truths if name in found}
     compared: Row = {
         "errors": errors,
         "direction_rms_urad": float(np.sqrt(np.nanmean(off_urad**2))),

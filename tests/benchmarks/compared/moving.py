@@ -1,7 +1,5 @@
 """Recordings of a board that moves evenly before the simulated camera, under a steady light."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

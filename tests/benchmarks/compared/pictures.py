@@ -1,7 +1,5 @@
 """The pictures of docs/comparison.md: every repetition of every column, and errors by the number of images."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -78,9 +76,7 @@ def draw_image_counts(
         for kind, points in lines.items():
             if len(points) > 1:
                 axes.plot(*zip(*sorted(points), strict=True), "o-", label=kind)
-        axes.set(
-            xscale="log", yscale="log", xlabel="images", ylabel="error of direction, µrad, root mean square"
-        )
+        axes.set(xscale="log", yscale="log", xlabel="images", ylabel="error of direction, µrad, RMS")
         axes.legend(frameon=False)
         axes.grid(color="#dddddd")
         _save(figure, origin, folder / "comparison-images.svg")

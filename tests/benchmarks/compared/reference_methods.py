@@ -3,8 +3,6 @@
 Their uncertainties contain star noise only. Compare residuals of left-out views, not reprojection errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -98,9 +96,7 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
     parameters = refined.parameters
     estimate = covariance_at_optimum(bundle, parameters, loss)
     if not refined.converged:
-        raise NotConverged(
-            f"The adjustment did not converge within {refined.iterations} steps.", remedy="Add views."
-        )
+        raise NotConverged(f"It did not converge within {refined.iterations} steps.", remedy="Add views.")
     left_out = leave_one_out(bundle, parameters, loss)
     lengths = _rms_and_mean(bundle, parameters)
     sigma = replace(estimate, inconsistent=False).sigma  # not enlarged

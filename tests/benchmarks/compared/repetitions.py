@@ -3,8 +3,6 @@
 After Ctrl-C, the same command continues. Whatever changes the program or a column makes its results again.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import sys
@@ -32,10 +30,7 @@ def columns_here(comparison: str) -> tuple[Column, ...]:
     """Return the columns that can be measured here: those of strangers need a ray tracer, optiland."""
     columns = read_comparison(comparison).columns
     if find_spec("optiland") is None and any(column.collimator == "stranger" for column in columns):
-        print(
-            "Left out: collimators of a stranger's ray tracer. For them: pip install optiland",
-            file=sys.stderr,
-        )
+        print("Left out: collimators of strangers. For them: pip install optiland", file=sys.stderr)
         columns = tuple(column for column in columns if column.collimator != "stranger")
     return columns
 
@@ -52,9 +47,8 @@ def _groups(comparison: str) -> list[list[Column]]:
 def keys_of(comparison: str, repetitions: int) -> list[Key]:
     """Return what is to be done: repetition by repetition, so that a short run has some of every column."""
     program, first = forms()["program"], read_comparison(comparison).seed
-    digests = [
-        hashlib.sha256(repr((columns, program)).encode()).hexdigest()[:16] for columns in _groups(comparison)
-    ]
+    asked = [repr((columns, program)).encode() for columns in _groups(comparison)]
+    digests = [hashlib.sha256(text).hexdigest()[:16] for text in asked]
     return [
         (comparison, group, first + repetition, digest)
         for repetition in range(repetitions)
@@ -74,9 +68,7 @@ def options(described: str | None, kept: str) -> argparse.Namespace:
     parser.add_argument("--repetitions", type=int)
     parser.add_argument("--kept", type=Path, default=Path(kept))
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument(
-        "--ready", action="store_true", help="measure nothing: the table of what the file holds"
-    )
+    parser.add_argument("--ready", action="store_true", help="measure nothing: show what the file holds")
     parser.add_argument("--pictures", type=Path, help="the folder in which pictures are written")
     return parser.parse_args()
 

@@ -14,17 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from virtual_camera import VirtualCamera
 
+from calib import CalibrationError, CameraModel, StarTarget, View, detect_view, make_images
 from calib.boards.board import Board
 from calib.boards.detect import detect_board
-from calib.errors import CalibrationError
-from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
-from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map, log_map
-from calib.stars.detect import detect_view
 from calib.stars.rim import downweight_vignetted
-from calib.target import StarTarget
-from calib.view import View
 from tests.benchmarks.worlds.bench import Bench
 from tests.benchmarks.worlds.knowledge import views_of
 

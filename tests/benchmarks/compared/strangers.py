@@ -1,7 +1,5 @@
 """Benches of the worlds of strangers that compare with the others: a 16 mm lens, read by the gimbal, no fisheye."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import count
 

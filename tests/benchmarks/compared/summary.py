@@ -1,7 +1,5 @@
 """The table of a comparison: statistics of each column over its repetitions, as Markdown."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 

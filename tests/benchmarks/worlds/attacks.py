@@ -1,7 +1,5 @@
 """Wrong data of a bench: changes of statements, views, readings and poses, and two benches that are attacked by them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

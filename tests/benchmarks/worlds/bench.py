@@ -1,7 +1,5 @@
 """What a world gives: views, readings, what the station states, and apart from them the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

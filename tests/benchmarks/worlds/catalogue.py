@@ -1,7 +1,5 @@
 """The worlds by name, and one result of the table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Rotations, lenses and the printed grid, written for the worlds alone; NumPy only."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -4,8 +4,6 @@ The corner is that with the largest stated uncertainty, along the direction of t
 those that the best common rotation of the camera leaves.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -66,10 +64,8 @@ def compared(answer: Answer, bench: Bench) -> dict[str, Any]:
     """Errors and expanded uncertainties, as numbers of a line."""
     camera = bench.camera
     k, names = answer.coverage_factor, list(answer.values)
-    expanded = {
-        name: answer.factors.get(name, k) * float(np.sqrt(answer.covariance[i, i]))
-        for i, name in enumerate(names)
-    }
+    sigmas = dict(zip(names, np.sqrt(np.diag(answer.covariance)).tolist(), strict=True))
+    expanded = {name: answer.factors.get(name, k) * sigmas[name] for name in names}
     off = {name: value - camera.values.get(name, 0.0) for name, value in answer.values.items()}
     error, u = {name: off[name] for name in CENTRE}, {name: expanded[name] for name in CENTRE}
     has_lens = camera.image_of is None or camera.exact  # else no coefficients describe it
@@ -96,12 +92,8 @@ def judged(bench: Bench, known: str, lens: str, before: tuple[Bench, str] | None
 
     before: Bench and knowledge of an earlier calibration whose passport is used; its time does not count.
     """
-    line: dict[str, Any] = {
-        "known": known,
-        "lens": bench.camera.family,
-        "poses": len(bench.views),
-        **bench.facts,
-    }
+    line: dict[str, Any] = {"known": known, "lens": bench.camera.family, "poses": len(bench.views)}
+    line |= bench.facts
     try:
         passport = None
         if before is not None:

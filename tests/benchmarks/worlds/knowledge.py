@@ -3,8 +3,6 @@
 If the engine's options change, only this module does.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Any

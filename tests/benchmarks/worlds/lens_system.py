@@ -3,8 +3,6 @@
 Light is followed backwards, from the camera's pupil towards the print, in the direction of +Z. The print is near Z = 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

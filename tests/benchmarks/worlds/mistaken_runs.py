@@ -3,8 +3,6 @@
 The sensor is small, the recordings are short, and the poses are five, so that a run takes seconds.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -238,13 +236,8 @@ def mistaken_run(name: str, seed: int) -> dict[str, Any]:
     first = {causes[0]["kind"], *causes[0]["beside"]} if causes else set()
     right = bool(first & set(mistake.named)) if mistake.named else not causes and not mistake.refused
     wrong = bool(causes) and not right
-    return {
-        **line,
-        "causes": [cause["kind"] for cause in causes],
-        "told": [output],
-        "right": right,
-        "wrong": wrong,
-    }
+    kinds = [cause["kind"] for cause in causes]
+    return {**line, "causes": kinds, "told": [output], "right": right, "wrong": wrong}
 
 
 def _healthy_before(base: Path, seed: int) -> Path:

@@ -3,8 +3,6 @@
 The benches are those of the product's own optics with drawn signs (`product`), with certificate and bounded readings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -221,9 +219,8 @@ def mistaken(name: str, seed: int) -> dict[str, Any]:
     # A cause that the data cannot tell from another is told with the other.
     first = {causes[0], *answer.raw.causes[0].beside} if causes else set()
     right = bool(first & set(mistake.named)) if mistake.named else not causes
-    errors = {
-        q: (answer.values[q] - bench.camera.values[q]) / answer.raw.U[q] for q in ("fx", "fy", "cx", "cy")
-    }
+    true = bench.camera.values
+    errors = {q: (answer.values[q] - true[q]) / answer.raw.U[q] for q in ("fx", "fy", "cx", "cy")}
     line["worst"] = round(max(map(abs, errors.values())), 2)
     return {
         **line,

@@ -50,9 +50,8 @@ class Waves:
         width = 2 * np.tan(HALF_ANGLE_DEG * DEG)
         lengths, angle = rng.uniform(*across, count) / width, rng.uniform(0, 2 * np.pi, count)
         numbers = lengths[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return cls(
-            numbers, rng.uniform(0, 2 * np.pi, (count, 2)), rng.normal(size=(count, 2)) / np.sqrt(count / 2)
-        )
+        phases, sizes = rng.uniform(0, 2 * np.pi, (count, 2)), rng.normal(size=(count, 2))
+        return cls(numbers, phases, sizes / np.sqrt(count / 2))
 
     def at(self, tangents: Array) -> Array:
         """The field (N, 2) at tangents (N, 2)."""
@@ -83,10 +82,8 @@ class Glass:
         print_mm = nominal_mm * (1 + self.print_scale)
         h = (print_mm - self.foot_mm) / self.r
         place = pupil + along * h
-        hh, hb, bb = (
-            (first * other).sum(axis=1, keepdims=True)
-            for first, other in ((h, h), (h, place), (place, place))
-        )
+        pairs = ((h, h), (h, place), (place, place))
+        hh, hb, bb = ((first * other).sum(axis=1, keepdims=True) for first, other in pairs)
         t = self.terms
         by_pupil = (t["defocus"] + 2 * t["coma"] * hb + 2 * t["curvature"] * hh) * place
         by_field = (
@@ -213,10 +210,8 @@ def _stated(rng: np.random.Generator, kind: str) -> tuple[Stated, dict[str, Any]
 def _glass(rng: np.random.Generator, size: float, kind: str, draws: Mapping[str, Any]) -> Glass:
     r = float(rng.uniform(250, 260))
     signs, shares = rng.choice([-1.0, 1.0], len(LEVELS) + 1), rng.uniform(0.5, 1.5, len(LEVELS))
-    terms = {
-        name: float(size * LEVELS[name] * s * a)
-        for name, s, a in zip(LEVELS, signs[:-1], shares, strict=True)
-    }
+    drawn = zip(LEVELS, signs[:-1], shares, strict=True)
+    terms = {name: float(size * LEVELS[name] * s * a) for name, s, a in drawn}
     middle = np.array([(COLUMNS - 1) / 2, (ROWS - 1) / 2]) * PITCH_MM
     angle, strength = rng.uniform(0, 2 * np.pi), np.exp(rng.uniform(np.log(1e-4), np.log(1e-3)))
     real = kind != "ideal"

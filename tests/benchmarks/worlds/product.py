@@ -4,8 +4,6 @@ The profiles of the simulators are those of one real collimator, so their errors
 random sign and size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -63,30 +61,20 @@ def draw(
         star_sigma_px=star,
         common_share=0.4,
     )
-    facts = {
-        "f": values["fx"],
-        "size": size,
-        "star_px": star,
-        "r": glass.r,
-        "times": times,
-        "profile": profile,
-    }
+    facts = {"f": values["fx"], "size": size, "star_px": star, "r": glass.r, "times": times}
+    facts["profile"] = profile
     return _bench(drawn, stated, Camera(values, camera.family), float(np.exp(0.1 * own.normal())), facts)
 
 
 def draw_glass(rng: np.random.Generator, profile: CollimatorTruth, size: float) -> CollimatorTruth:
     signs, shares = rng.choice([-1.0, 1.0], len(ERRORS)), rng.uniform(0.5, 1.5, len(ERRORS))
-    changed = {
-        name: float(size * getattr(profile, name) * s * a)
-        for name, s, a in zip(ERRORS, signs, shares, strict=True)
-    }
+    drawn = zip(ERRORS, signs, shares, strict=True)
+    changed = {name: float(size * getattr(profile, name) * s * a) for name, s, a in drawn}
     changed |= {name: float(size * getattr(profile, name)) for name in IRREGULAR}
     return replace(profile, r=float(rng.uniform(250, 260)), **changed)
 
 
 def _bench(drawn: DrawnBench, stated: Stated, camera: Camera, off: float, facts: dict[str, Any]) -> Bench:
-    views = [
-        Seen(v.name, v.ids, v.points_px, v.target_mm, off * np.sqrt(v.covariances_px2[:, 0, 0]))
-        for v in drawn.views
-    ]
+    seen = ((v, off * np.sqrt(v.covariances_px2[:, 0, 0])) for v in drawn.views)
+    views = [Seen(v.name, v.ids, v.points_px, v.target_mm, sigmas) for v, sigmas in seen]
     return Bench("product", views, drawn.readings_deg, stated, camera, facts)

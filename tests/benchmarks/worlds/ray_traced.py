@@ -4,8 +4,6 @@ No error is a polynomial. Aberrations are those of the glass; the star's image i
 the camera's entrance pupil admits; parallax comes from the pupil's real way when the axes turn, which do not meet.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -54,10 +52,8 @@ class Screws:
             + self.encoder_deg[:, 1] * waves[1]
         )
         lean = np.sin(self.pace * a)[:, None] * self.wobble
-        pan, tilt = (
-            turn(-DEG * angle * axis / np.linalg.norm(axis))
-            for angle, axis in zip(true, self.axes + lean, strict=True)
-        )
+        screws = zip(true, self.axes + lean, strict=True)
+        pan, tilt = (turn(-DEG * angle * axis / np.linalg.norm(axis)) for angle, axis in screws)
         moved = pan @ (self.apart_mm + tilt @ self.arm_mm) - (self.apart_mm + self.arm_mm)
         return self.camera @ (pan @ tilt).T @ self.base, self.base.T @ moved
 
@@ -116,14 +112,8 @@ def draw_world(seed: int, other_camera: int = 0, kind: str = "real") -> World:
     star = float(own.uniform(0.01, 0.02))
     pose_px = float(np.exp(own.uniform(np.log(0.003), np.log(0.03))))
     middle = np.array([(COLUMNS - 1) / 2, (ROWS - 1) / 2]) * PITCH_MM
-    facts = {
-        "f": camera.values["fx"],
-        "size": size,
-        "star_px": star,
-        "pose_px": pose_px,
-        "r": r,
-        "defocus": defocus,
-    }
+    facts = {"f": camera.values["fx"], "size": size, "star_px": star, "pose_px": pose_px}
+    facts |= {"r": r, "defocus": defocus}
     return World(
         lens,
         pupil,
@@ -188,10 +178,8 @@ def _at_focus(
     scale = focal / was
     if was <= 0 or back * scale < 25:
         return None
-    return tuple(
-        replace(s, vertex_mm=scale * (s.vertex_mm - vertices[-1] - back), radius_mm=scale * s.radius_mm)
-        for s in made
-    )
+    surfaces = (replace(s, radius_mm=scale * s.radius_mm) for s in made)
+    return tuple(replace(s, vertex_mm=scale * (s.vertex_mm - vertices[-1] - back)) for s in surfaces)
 
 
 def _is_fair(surfaces: tuple[Surface, ...], stop_mm: float) -> bool:

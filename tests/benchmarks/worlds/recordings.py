@@ -1,7 +1,5 @@
 """Published views of a real collimator: what the engine finds, and how much it scatters over triples of views."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +19,9 @@ def read(folder: Path) -> list[calib.View]:
     views = []
     for path in (folder / f"image{i}.txt" for i in range(1, COUNT + 1)):
         rows = np.loadtxt(path)
-        points, covariances = rows[:, :2] - 0.5, np.tile(np.eye(2), (len(rows), 1, 1))
-        views.append(
-            calib.View(path.stem, SIZE, rows[:, 4].astype(np.int64), points, rows[:, 2:4], covariances)
-        )
+        points = rows[:, :2] - 0.5
+        ids = rows[:, 4].astype(np.int64)
+        views.append(calib.View(path.stem, SIZE, ids, points, rows[:, 2:4], 1.0))
     return views
 
 

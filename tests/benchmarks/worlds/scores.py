@@ -1,7 +1,5 @@
 """The table of scores: coverage, rms of 2 error/U, largest error/U, errors and U, by groups of results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ whether a hand moves the camera. What the station states is drawn from the truth
 states the focal length, as makers do (three of five), or the length that the camera sees. Half of them say which.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -73,10 +71,8 @@ class Gimbal:
         true = self.scales * reading_deg + self.eccentric_deg[0] * np.sin(at + self.eccentric_deg[1])
         true += self.worm_deg[0] * np.sin(2 * np.pi * reading_deg / self.worm_period_deg + self.worm_deg[1])
         true += 0.5 * self.backlash_deg * came_from + self.noise_deg * rng.normal(size=2)
-        pan, tilt = (
-            turn(np.array([0, -true[0] * DEG, 0])),
-            turn(-true[1] * DEG * np.array([1, self.square_rad, 0])),
-        )
+        pan = turn(np.array([0, -true[0] * DEG, 0]))
+        tilt = turn(-true[1] * DEG * np.array([1, self.square_rad, 0]))
         body = pan @ tilt
         return self.camera @ body.T @ self.base, self.base.T @ (body @ self.lever_mm - self.lever_mm)
 
@@ -235,9 +231,8 @@ def _angles(world: World, count: int, rng: np.random.Generator) -> Array:
     span = np.degrees(np.arctan(np.minimum(0.55 * half, 0.75 * world.widest + 0.1 * half)))
     columns = int(np.ceil(np.sqrt(count * 1.3)))
     rows = int(np.ceil(count / columns))
-    grid = np.array(
-        [(p, t) for t in np.linspace(-1, 1, max(rows, 2)) for p in np.linspace(-1, 1, max(columns, 2))]
-    )
+    columns_at, rows_at = np.linspace(-1, 1, max(columns, 2)), np.linspace(-1, 1, max(rows, 2))
+    grid = np.array([(p, t) for t in rows_at for p in columns_at])
     chosen = grid[rng.permutation(len(grid))[:count]] if count < len(grid) else grid[:count]
     if count == 3:
         chosen = np.array([(-1.0, 0.6), (1.0, 0.6), (0.0, -1.0)])

@@ -9,8 +9,6 @@ Laikin, Lens Design, 4th edition), Thorlabs' achromat AC254-100-A (catalogue: f 
 mm; N-BK7 and SF5), two of them as a Ploessl eyepiece has them, a concentric and a parabolic mirror. All are scaled.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -152,14 +150,8 @@ def _system(faces: Sequence[Face], loose: Tolerances, rng: np.random.Generator) 
             glass = IdealMaterial(n=face.index + loose.index * rng.normal())
         x, y = aside + (face.z - start) * tilt
         form = {"radius": face.radius, "conic": face.conic, "material": glass, "is_stop": i == 0}
-        place = {
-            "x": float(x),
-            "y": float(y),
-            "z": face.z + along,
-            "rx": -float(tilt[1]),
-            "ry": float(tilt[0]),
-        }
-        lens.surfaces.add(index=i + 1, **form, **place)
+        place = {"x": float(x), "y": float(y), "z": face.z + along}
+        lens.surfaces.add(index=i + 1, **form, **place, rx=-float(tilt[1]), ry=float(tilt[0]))
     lens.surfaces.add(index=len(faces) + 1, z=focal_mm(faces)[1])
     return lens
 
@@ -172,20 +164,11 @@ def _traced(lens: Any, places: Array, tangents: Array, plane_z: float) -> tuple[
     ones = np.ones(len(places))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        rays = RealRays(
-            *places.T,
-            plane_z * ones,
-            tangents[:, 0] * along,
-            tangents[:, 1] * along,
-            along,
-            ones,
-            WAVE_UM * ones,
-        )
+        towards = tangents[:, 0] * along, tangents[:, 1] * along, along
+        rays = RealRays(*places.T, plane_z * ones, *towards, ones, WAVE_UM * ones)
         lens.surfaces.trace(rays, skip=1, record=False)
-    at, to = (
-        np.stack([rays.x, rays.y], axis=1),
-        np.stack([rays.L, rays.M], axis=1) / np.asarray(rays.N)[:, None],
-    )
+    at = np.stack([rays.x, rays.y], axis=1)
+    to = np.stack([rays.L, rays.M], axis=1) / np.asarray(rays.N)[:, None]
     if not np.isfinite(at).all():
         raise ArithmeticError("A ray does not get through the glass.")
     return np.asarray(at, float), np.asarray(to, float)
@@ -223,9 +206,8 @@ class Collimator:
     def print_mm(self, places: Array, tangents: Array) -> Array:
         """Points (N, 2) mm at which rays meet the print."""
         scale = np.array(self.half_width).repeat(2)
-        point, slope = np.split(
-            _powers(np.hstack([places, tangents]) / scale, DEGREE) @ self.terms, 2, axis=1
-        )
+        powers = _powers(np.hstack([places, tangents]) / scale, DEGREE)
+        point, slope = np.split(powers @ self.terms, 2, axis=1)
         start = point = point + self.efl_mm * self._figure(places + self.stop_mm * tangents)
         for _ in range(2):
             point = start + (self.out_of_focus_mm + (self.sag * point**2).sum(axis=1, keepdims=True)) * slope

@@ -1,7 +1,5 @@
 """U as one thing grows: the number of poses, or what is known. A step of U is a ratio of neighbours."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any

@@ -141,9 +141,8 @@ class TestPikepdf:
         assert [element.text for element in tree.iter(f"{PDFUAID}part")] == ["1"]
 
     def test_every_figure_has_a_description(self, opened):
-        figures = [
-            element for element in elements(opened.Root.StructTreeRoot) if element.get("/S") == "/Figure"
-        ]
+        tree = elements(opened.Root.StructTreeRoot)
+        figures = [element for element in tree if element.get("/S") == "/Figure"]
         assert len(figures) == 5
         assert all(len(str(element.get("/Alt", ""))) > 40 for element in figures)
 

@@ -20,9 +20,8 @@ def test_a_certificate_of_a_run_verifies_with_starbench_and_with_stock_programs(
     (tmp_path / "lab.yaml").write_text(text, encoding="utf-8")
     run, folder = tmp_path / "run", tmp_path / "first"
     done("run", "three_pose", "-s", "simulated", "-o", run)
-    issued = json.loads(
-        done("certificate", "issue", run, "-c", tmp_path / "lab.yaml", "-o", folder, "--json")
-    )
+    words = ("issue", run, "-c", tmp_path / "lab.yaml", "-o", folder, "--json")
+    issued = json.loads(done("certificate", *words))
     assert issued["certificate"]["run"]["id"] == "run"
     assert json.loads(done("verify", folder, "--json"))["state"] == "SEALED"
     subprocess.run(["sha256sum", "--strict", "--quiet", "-c", "SHA256SUMS"], cwd=folder, check=True)

@@ -109,10 +109,8 @@ def test_a_camera_without_a_number_is_identified_by_the_laboratory():
     devices = sample_results()["devices"]
     camera = {**devices["camera"], "serial": "", "maker": "OpenCV", "model": "/dev/video0"}
     unnamed = {**sample_results(), "devices": {**devices, "camera": camera}}
-    assert [fault.path for fault in faults_of_lab(sample_lab(), unnamed, SEQUENCE)] == [
-        "item.maker",
-        "item.model",
-    ]
+    faults = faults_of_lab(sample_lab(), unnamed, SEQUENCE)
+    assert [fault.path for fault in faults] == ["item.maker", "item.model"]
     own = "  serial: 00050423\n  maker: Basler\n  model: ace 2"
     named = sample_lab(LAB.replace("  serial: 00050423", own))
     assert faults_of_lab(named, unnamed, SEQUENCE) == []

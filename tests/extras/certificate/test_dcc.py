@@ -37,12 +37,8 @@ def test_results_are_stated_as_printed_with_k_p_and_distribution():
     root = dcc_of(certificate_sample.full_certificate())
     fx = "//dcc:quantity[@id='result-fx']"
     assert texts(root, f"{fx}/si:real/*[not(*)]") == ["fx", "3346.0", r"\one"]
-    assert texts(root, f"{fx}/si:real/si:expandedUnc/*") == [
-        "2.0",
-        "2.0159",
-        "0.9545",
-        "posterior of the adjustment",
-    ]
+    expanded = ["2.0", "2.0159", "0.9545", "posterior of the adjustment"]
+    assert texts(root, f"{fx}/si:real/si:expandedUnc/*") == expanded
     assert texts(root, "//dcc:nonSIUnit") == ["pixel"]
 
 
@@ -75,9 +71,7 @@ def test_every_text_of_the_certificate_is_in_the_dcc():
     certificate = certificate_sample.full_certificate()
     in_dcc = " ".join(" ".join(etree.fromstring(render_dcc(certificate)).itertext()).split())
     not_said = {certificate.format, certificate.series}
-    not_said |= {entry.id for entry in certificate.further} | {
-        statement.id for statement in certificate.statements
-    }
+    not_said |= {entry.id for part in (certificate.further, certificate.statements) for entry in part}
     not_said |= {entry.text for entry in certificate.further}  # the numbers behind them are stated
     not_said |= {certificate.run.sequence, certificate.run.station}
     units = {"px", "mm", "1", "%", "°C", "Hz", "arcsec", "lx", "Mev/s", "px/mm", "1/mm", "", "starbench"}
@@ -106,9 +100,7 @@ def test_units_that_d_si_lacks_are_stated_in_words():
 
 
 @pytest.mark.parametrize(("k", "distribution"), [(2.0, "normal"), (2.4, "posterior of the adjustment")])
-def test_the_ellipsoid_of_a_posterior_is_as_much_wider_than_a_normal_one_as_its_widest_result(
-    k, distribution
-):
+def test_the_ellipsoid_of_a_posterior_is_as_much_wider_as_its_widest_result(k, distribution):
     full = certificate_sample.full_certificate()
     first, *others = (dataclasses.replace(result, nu_eff=None, k=2.0) for result in full.results)
     root = dcc_of(dataclasses.replace(full, results=(dataclasses.replace(first, k=k), *others)))
@@ -154,9 +146,8 @@ def test_what_wrote_the_certificate_is_told_apart_from_what_measured():
 def test_a_range_is_stated_with_both_ends():
     full = certificate_sample.full_certificate()
     text = "71.3566 to 86.9117 Mev/s"
-    rate = dataclasses.replace(
-        full.conditions[0], name="event rate", value=None, unit="Mev/s", U=None, text=text
-    )
+    unknown = {"value": None, "U": None, "unit": "Mev/s"}
+    rate = dataclasses.replace(full.conditions[0], name="event rate", text=text, **unknown)
     odd = dataclasses.replace(rate, text="71 to 86 furlong", unit="furlong")
     root = dcc_of(dataclasses.replace(full, conditions=(rate, odd)))
     first, second = root.xpath("//dcc:influenceCondition", namespaces=NAMESPACES)

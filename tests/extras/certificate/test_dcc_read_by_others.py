@@ -17,9 +17,7 @@ import pytest
 from bench.extras.certificate.d_si import OUR_UNITS
 
 SCHEMAS = Path(named) if (named := os.environ.get("STARBENCH_DCC_SCHEMAS")) else None
-needs_schemas = pytest.mark.skipif(
-    SCHEMAS is None, reason="STARBENCH_DCC_SCHEMAS does not name the folder of PTB's schemas"
-)
+needs_schemas = pytest.mark.skipif(SCHEMAS is None, reason="STARBENCH_DCC_SCHEMAS names no folder")
 
 
 DCCS = {"full": certificate_sample.full_dcc, "small": certificate_sample.small_dcc}
@@ -111,10 +109,8 @@ def schematron():
 
 def remarks(schematron, data):
     report = schematron.validate_str(data.decode())
-    stated = [
-        *report.failed_assertions,
-        *(remark for remark in report.successful_reports if remark.role != "information"),
-    ]
+    told = (remark for remark in report.successful_reports if remark.role != "information")
+    stated = [*report.failed_assertions, *told]
     return [" ".join(remark.text.split()) for remark in stated]
 
 

@@ -232,6 +232,7 @@ def of_results(**parts):
     return change
 
 
+OF_A_BOARD = {**sample_results()["run"], "board": "checkerboard:9x7:2mm"}
 ENDED_LATER = {**sample_results()["run"], "finished_utc": (NOW + timedelta(days=1)).isoformat()}
 
 
@@ -240,11 +241,7 @@ ENDED_LATER = {**sample_results()["run"], "finished_utc": (NOW + timedelta(days=
     [
         (unsealed, EvidenceError, "is not sealed"),
         (lambda lab: (lab.path / "certificate").touch(), UsageError, "already exists"),
-        (
-            of_results(run={**sample_results()["run"], "board": "checkerboard:9x7:2mm"}),
-            EvidenceError,
-            "a board",
-        ),
+        (of_results(run=OF_A_BOARD), EvidenceError, "a board"),
         (of_results(poses=None), RunFolderError, "have another form: poses is of another type"),
         (of_results(run=ENDED_LATER), EvidenceError, "but the calibration ended on 2026-11-22"),
     ],

@@ -80,20 +80,20 @@ def test_an_amended_certificate_is_shown_as_superseded(bench):
     run("issue", "run", "-c", "lab.yaml", "-o", "first")
     (bench / "lab.yaml").write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
     output = run("issue", "first", "-c", "lab.yaml", "-o", "second", "--reason", "wrong address")
-    assert (
-        f"Replaces {FIRST}: wrong address\n  customer.address.street: 'Mill Lane 3' -> 'Mill Lane 4'"
-        in output
-    )
+    assert f"Replaces {FIRST}: wrong address\n" in output
+    assert "customer.address.street: 'Mill Lane 3' -> 'Mill Lane 4'" in output
     assert f"SUPERSEDED by {SECOND}" in run("show", "first")
     assert f"replaced by {SECOND}" in run("show")
 
 
-def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
-    with (
-        mock.patch.object(issue_module, "write_sealed", side_effect=BenchError("disk full")),
-        pytest.raises(BenchError),
-    ):
+def issue_that_fails_at(function):
+    error = BenchError("killed")
+    with mock.patch.object(issue_module, function, side_effect=error), pytest.raises(BenchError):
         run("issue", "run", "-c", "lab.yaml", "-o", "first")
+
+
+def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
+    issue_that_fails_at("write_sealed")
     assert "DRAFT" in run("show")
     with mock.patch("getpass.getuser", side_effect=KeyError("no such user, as in a container")):
         assert run("void", FIRST, "--reason", "disk full") == f"{FIRST} is void: disk full\n"
@@ -103,11 +103,7 @@ def test_a_number_left_open_is_a_draft_until_it_is_void(bench):
 
 
 def test_a_certificate_that_was_complete_cannot_be_void(bench):
-    with (
-        mock.patch.object(issue_module, "enter_issued", side_effect=BenchError("killed")),
-        pytest.raises(BenchError),
-    ):
-        run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    issue_that_fails_at("enter_issued")
     with pytest.raises(BenchError, match=f"{FIRST} is issued"):
         run("void", FIRST, "--reason", "x")
     assert "SEALED" in run("show")

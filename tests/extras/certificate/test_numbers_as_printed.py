@@ -113,10 +113,9 @@ def test_a_stated_value_has_the_degrees_of_freedom_that_are_stated_with_it():
 def test_rows_name_their_certificates():
     fx = full_certificate().budgets[0]
     known = {row.name: (row.number, row.date) for row in fx.rows if row.number}
-    assert known == {
-        "passport of the collimator": ("SIM-2026-01", "2026-01-12"),
-        "scale of the print": ("R-17", "2026-01-08"),
-    }
+    print_scale = ("R-17", "2026-01-08")
+    passport = ("SIM-2026-01", "2026-01-12")
+    assert known == {"passport of the collimator": passport, "scale of the print": print_scale}
 
 
 def test_of_a_coefficient_a_row_of_a_single_source_states_its_value_with_its_certificate():
@@ -167,9 +166,8 @@ def run_with_limits(*limits):
     rules = [ResultLimitConfig(**limit) for limit in limits]
     results["conformity"] = conformity(stored_calibration(results["calibration"]), {"sequence": rules}, [])
     head, _, rest = LAB.partition("decision_rules:\n")
-    return results, sample_lab(
-        f"{head}decision_rules: none\n{rest[rest.index('previous_certificate') :]}"
-    ).value
+    text = f"{head}decision_rules: none\n{rest[rest.index('previous_certificate') :]}"
+    return results, sample_lab(text).value
 
 
 def test_the_limits_of_the_run_are_stated_where_the_laboratory_states_no_others():
@@ -189,11 +187,8 @@ def test_the_limits_of_the_run_are_stated_where_the_laboratory_states_no_others(
 
 def test_limits_of_a_value_that_the_run_did_not_determine_are_not_left_out_in_silence():
     results, lab = run_with_limits({"result": "kb1", "upper": 1.0, "specification": "drawing 4711"})
-    texts = [
-        deviation.text
-        for deviation in compose(results, lab, identity()).deviations
-        if deviation.source == "run"
-    ]
+    deviations = compose(results, lab, identity()).deviations
+    texts = [deviation.text for deviation in deviations if deviation.source == "run"]
     assert any(re.match("kb1: .* 1 by drawing 4711", text) for text in texts)
 
 

@@ -36,9 +36,8 @@ class Bench:
 
     def reserve(self, run="a", **facts):
         words = {"number_format": "SB-{year}-{number:05d}", "simulated": False, "run_seal": run * 64}
-        return reserve(
-            self.ledger, Wanted(**{**words, "run_id": run, "folder": f"/c/{run}", **facts}), self.now
-        )
+        facts = {**words, "run_id": run, "folder": f"/c/{run}", **facts}
+        return reserve(self.ledger, Wanted(**facts), self.now)
 
     def issue(self, run="a", **facts):
         number = self.reserve(run, **facts).number
@@ -66,9 +65,8 @@ def test_numbers_go_on_behind_those_that_only_a_second_place_knows(bench):
     bench.issue("a")
     (series,) = {certificate.series for certificate in bench.numbers().values()}
     known = [{"place": "a disk elsewhere", "head": "0" * 64, "runs": 0, "counts": {series: 7}}]
-    bench.ledger.append(
-        LEDGER_BROKEN, what=["lines are missing"], known=known, kept=None, reason="lost", by="ada"
-    )
+    facts = {"what": ["lines are missing"], "kept": None, "reason": "lost", "by": "ada"}
+    bench.ledger.append(LEDGER_BROKEN, known=known, **facts)
     assert bench.issue("b") == "SB-2026-00008"
     assert len(bench.numbers()) == 8
 
@@ -198,9 +196,8 @@ class Laboratory(RuleBasedStateMachine):
     def amend(self, data, killed):
         run = data.draw(st.sampled_from(sorted(self.newest)))
         old = self.newest[run]
-        self.attempt(
-            run, old, killed, {"amends": old}, refused=bool(self.left and self.left[1:] != (run, old))
-        )
+        refused = self.left and self.left[1:] != (run, old)
+        self.attempt(run, old, killed, {"amends": old}, refused=bool(refused))
 
     def attempt(self, run, old, killed, facts, *, refused):
         if refused:

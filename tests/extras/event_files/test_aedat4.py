@@ -76,9 +76,8 @@ def test_events_of_every_compression_are_read(written, kind):
 
 def zeros_frame(size):
     """A frame of so many zeros, in blocks of one repeated byte."""
-    blocks = [
-        struct.pack("<I", (1 << 17) << 3 | 2 | (k == size >> 17))[:3] + b"\0" for k in range((size >> 17) + 1)
-    ]
+    last = size >> 17
+    blocks = [struct.pack("<I", (1 << 17) << 3 | 2 | (k == last))[:3] + b"\0" for k in range(last + 1)]
     return struct.pack("<IBB", 0xFD2FB528, 0, 56) + b"".join(blocks)
 
 

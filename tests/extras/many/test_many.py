@@ -23,9 +23,7 @@ from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats.event_conversion import Evt3Encoder
 from drivers.camera.raw_header import render_header
 
-CAMERA = CameraIdentity(
-    maker="Prophesee", model="EVK4", sensor="IMX636", serial="1", firmware="1", width=1280, height=720
-)
+CAMERA = CameraIdentity("Prophesee", "EVK4", "IMX636", "1", "1", 1280, 720)
 
 
 def run(*words):

@@ -3,8 +3,6 @@
 The families without terminals: test_stage_families.py, test_light_families.py.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

@@ -14,9 +14,8 @@ from bench.stations.station import load_station
 def fake_session(devices=None, station="simulated", opener=None):
     """Return a session with fakes, not open yet, and the fakes; ``opener`` takes the place of what opens them."""
     devices = devices or FakeDevices()
-    return Session(
-        load_station(str(station)), opener=opener or (lambda *_: devices), make_meter=LiveMeter
-    ), devices
+    opener = opener or (lambda *_: devices)
+    return Session(load_station(str(station)), opener=opener, make_meter=LiveMeter), devices
 
 
 @contextmanager

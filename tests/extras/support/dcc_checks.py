@@ -115,9 +115,7 @@ def units_and_numbers(root):
     for number in find(root, "//si:*[not(*)]"):
         name, words = etree.QName(number).localname, (number.text or "").split()
         if "nit" in name:
-            yield from (
-                f"{name}: {word} is not a unit of D-SI" for word in words or [""] if not is_unit(word)
-            )
+            yield from (f"{name}: {word} is no unit of D-SI" for word in words or [""] if not is_unit(word))
         elif not re.search("abel|istribution", name):
             yield from (f"{name}: {word} is not a number" for word in words or [""] if not finite(word))
 
@@ -133,10 +131,8 @@ class Result:
         real = quantity.find("si:real", NAMESPACES)
         self.id, self.label = quantity.get("id", ""), text(real, "si:label")
         self.unit, self.value = text(real, "si:unit"), Decimal(text(real, "si:value"))
-        U, k, p = (
-            text(real, f"si:expandedUnc/si:{name}")
-            for name in ("uncertainty", "coverageFactor", "coverageProbability")
-        )
+        names = ("uncertainty", "coverageFactor", "coverageProbability")
+        U, k, p = (text(real, f"si:expandedUnc/si:{name}") for name in names)
         self.stated = bool(U and k and p)
         self.of_posterior = text(real, "si:expandedUnc/si:distribution") == "posterior of the adjustment"
         self.U, self.k, self.p = Decimal(U or 1), float(k or 1), float(p or 0)

@@ -25,14 +25,8 @@ from bench.stations.station import load_station
 from tests.extras.support.pages import served
 
 PICTURES = Path(__file__).parents[3] / "docs" / "pictures"
-FLAGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-]
-FLAGS += ["--disable-component-update", "--disable-sync"]
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
+FLAGS += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
 WIDTH_PX = 1160
 PARTS = {"report.png": ("Calibration report", 1180), "report-plots.png": ("Where the result holds", 420)}
 """Heading with which each picture of the report begins, and its height, px."""

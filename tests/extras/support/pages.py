@@ -1,7 +1,5 @@
 """Ask pages in a test: without a server, or served in a thread."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import Iterator

@@ -83,16 +83,9 @@ def test_what_was_assumed_is_printed_and_the_unit_can_be_said(tmp_path):
 
 def test_many_files_take_the_same_choices(stereo, tmp_path):
     (tmp_path / "other.h5").write_bytes(stereo.read_bytes())
-    words = [
-        str(stereo),
-        str(tmp_path / "other.h5"),
-        str(tmp_path / "out"),
-        "--as",
-        "raw",
-        "--stream",
-        "left",
-    ]
-    ran = CliRunner().invoke(convert, [*words, "--sensor-size", "8x8"], standalone_mode=False)
+    files = [str(stereo), str(tmp_path / "other.h5"), str(tmp_path / "out")]
+    choices = ["--as", "raw", "--stream", "left", "--sensor-size", "8x8"]
+    ran = CliRunner().invoke(convert, [*files, *choices], standalone_mode=False)
     assert ran.exception is None
     assert "2 of 2 files converted" in ran.output
     recording = RawFile.open(tmp_path / "out" / "other.raw")

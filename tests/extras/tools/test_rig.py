@@ -20,6 +20,8 @@ SIZE = (1280, 720)
 
 BOARD = ("--board", "checkerboard:11x7:20mm", "--image-size", "1280x720")
 
+BOTH = ("{}/left", "{}/right")
+
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
@@ -35,9 +37,8 @@ def test_collimator_and_boards_are_one_adjustment(capsys, drawn):
     stars = [folder / "stars-left", folder / "stars-right"]
     rig.write_stars(*stars)
     turned = json.loads(out_of(capsys, "rig", *stars, "--image-size", "1280x720", "--json"))
-    both = json.loads(
-        out_of(capsys, "rig", *stars, "--boards", folder / "left", folder / "right", *BOARD, "--json")
-    )
+    boards = ("--boards", folder / "left", folder / "right", *BOARD)
+    both = json.loads(out_of(capsys, "rig", *stars, *boards, "--json"))
     assert turned["translation"] is None
     shown = out_of(capsys, "rig", *stars, "--image-size", "1280x720")
     assert "no translation" in shown
@@ -89,11 +90,8 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
         turn = np.array(info["rectification_matrix"]["data"]).reshape(3, 3)
         projection = np.array(info["projection_matrix"]["data"]).reshape(3, 4)
         seen = camera.project(there)[None]
-        rows.append(
-            cv2.undistortPoints(seen, matrices[0].reshape(3, 3), matrices[1], R=turn, P=projection[:, :3])[
-                0, 0
-            ]
-        )
+        to_pixels = {"R": turn, "P": projection[:, :3]}
+        rows.append(cv2.undistortPoints(seen, matrices[0].reshape(3, 3), matrices[1], **to_pixels)[0, 0])
     across = int(abs(projection[1, 3]) > abs(projection[0, 3]))
     assert rows[0][1 - across] == pytest.approx(rows[1][1 - across], abs=1.0)
     assert abs(projection[across, 3] / projection[0, 0]) == pytest.approx(np.linalg.norm(t_m), rel=1e-6)
@@ -104,11 +102,8 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
 
 
 def sdk_file(path, rotation, translation_mm, times=1):
-    slave = {
-        "camera": "right",
-        "rvec": log_map(rotation[None])[0].tolist(),
-        "tvec": (translation_mm / 1000.0).tolist(),
-    }
+    rvec, tvec = log_map(rotation[None])[0].tolist(), (translation_mm / 1000.0).tolist()
+    slave = {"camera": "right", "rvec": rvec, "tvec": tvec}
     path.write_text(json.dumps({"T_slave_master": [slave] * times}))
     return path
 
@@ -163,9 +158,7 @@ def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, fault
     assert "Known are rig.json" in message
 
 
-def test_boards_that_the_second_camera_saw_upside_down_are_numbered_anew_and_it_says_so(
-    capsys, drawn, tmp_path
-):
+def test_boards_that_the_second_camera_saw_upside_down_are_numbered_anew(capsys, drawn, tmp_path):
     rig, folder = drawn
     for file in sorted((folder / "right").iterdir()):
         x, y, across, down, number = np.loadtxt(file, delimiter=",").T
@@ -176,10 +169,8 @@ def test_boards_that_the_second_camera_saw_upside_down_are_numbered_anew_and_it_
     half = np.diag([-1.0, -1.0, 1.0])
     off = 206265 * log_map(np.array(rig_found["rotation"]) @ (half @ rig.rotation).T)
     assert (np.abs(off) < 4.0 * np.array(rig_found["sigma_arcsec"])).all()
-    assert (
-        np.abs(np.array(rig_found["translation"]) - half @ rig.translation)
-        < 4.0 * np.array(rig_found["sigma_mm"])
-    ).all()
+    moved_mm = np.array(rig_found["translation"]) - half @ rig.translation
+    assert (np.abs(moved_mm) < 4.0 * np.array(rig_found["sigma_mm"])).all()
     shown = out_of(capsys, "rig", folder / "left", tmp_path, *BOARD)
     assert "10 of 10 boards" in shown
 
@@ -200,21 +191,17 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
 @pytest.mark.parametrize(
     ("words", "fault", "status"),
     [
-        (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board", 2),
-        (("{}/left", "{}/right", "--calibration", "{}/left/a.yaml", "{}/right.yaml"), "the same views", 2),
+        ((*BOTH, "--boards", "{}/left", "{}/right"), "--boards needs --board", 2),
+        ((*BOTH, "--calibration", "{}/left/a.yaml", "{}/right.yaml"), "the same views", 2),
         (("{}/left", "{}/other", *BOARD), "share no pose", 1),
         (("{}/left", "{}/right/../left", *BOARD), "Both cameras have the same views.", 2),
         (("{}/left/board-0.csv", "{}/right/board-0.csv", *BOARD), "Show the board at more angles.", 1),
-        (("{}/left", "{}/right", "--boards", "{}/left", "{}/left", *BOARD), "Both cameras", 2),
+        ((*BOTH, "--boards", "{}/left", "{}/left", *BOARD), "Both cameras", 2),
         (("{}/left", "{}/blank", *BOARD), "whole board", 1),
         (("{}/left", "{}/moved", *BOARD), "do not fit one rig", 1),
-        (
-            ("{}/left", "{}/right", *BOARD[:2], "--calibration", "{}/left.yaml", "{}/small.yaml"),
-            "640 x 480",
-            1,
-        ),
-        (("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"), "640 x 480", 2),
-        (("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"), "cam0, cam1", 2),
+        ((*BOTH, *BOARD[:2], "--calibration", "{}/left.yaml", "{}/small.yaml"), "640 x 480", 1),
+        ((*BOTH, *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"), "640 x 480", 2),
+        ((*BOTH, *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"), "cam0, cam1", 2),
     ],
 )
 def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, fault, status):
@@ -255,10 +242,7 @@ WORDS = ("--board", "checkerboard:11x7:20mm")
 
 def flickering(view, clock, edges_us, path):
     """Write a recording of a board under a lamp that flickers: white paper sends events, and the sync signal edges."""
-    whole = (
-        np.kron((np.add.outer(range(8), range(12)) + 1) % 2, np.ones((40, 40), np.uint8)).astype(np.uint8)
-        * 255
-    )
+    whole = np.kron((np.add.outer(range(8), range(12)) + 1) % 2, np.full((40, 40), 255)).astype(np.uint8)
     sheet = cv2.copyMakeBorder(whole, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
     to_image, _ = cv2.findHomography(CORNERS_MM * 2.0 + 79.5, view.points_px)
     rows, columns = np.nonzero(cv2.warpPerspective(sheet, to_image, SENSOR, borderValue=0) > 127)
@@ -285,11 +269,8 @@ def folder(tmp_path_factory):
     """Recordings of both cameras; those of the folder `alone` under another lamp."""
     rig, folder = Drawn(5, boards=4, sizes=(SENSOR, SENSOR), sigma_px=0.0), tmp_path_factory.mktemp("sync")
     lamp = 2000 + PERIOD_US // 2 * np.arange(2 * PERIODS)
-    clocks = {
-        "left": lambda t: t,
-        "right": lambda t: t + OFFSET_US + GAIN * (t - lamp.mean()),
-        "alone": lambda t: 1.01 * t,
-    }
+    clocks = {"left": lambda t: t, "alone": lambda t: 1.01 * t}
+    clocks["right"] = lambda t: t + OFFSET_US + GAIN * (t - lamp.mean())
     for name, views in {"left": rig.views[0], "right": rig.views[1], "alone": rig.views[1]}.items():
         (folder / name).mkdir()
         for view in views[: 2 if name == "alone" else None]:

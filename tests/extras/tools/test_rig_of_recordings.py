@@ -54,9 +54,8 @@ def folder(tmp_path_factory):
 
 def test_rotation_and_clocks_are_those_of_the_simulated_rig(capsys, folder):
     answer = json.loads(out_of(capsys, "rig", folder / "left", folder / "right", "--sync", "--json"))
-    left, right = (
-        true_rotation(POSES[0], bench_config(SECTIONS[name]).truth_for(SEED)) for name in ("left", "right")
-    )
+    truths = (bench_config(SECTIONS[name]).truth_for(SEED) for name in ("left", "right"))
+    left, right = (true_rotation(POSES[0], truth) for truth in truths)
     off = 206265 * log_map(np.array(answer["rotation"]) @ (right @ left.T).T)
     assert (np.abs(off) < 4.0 * np.array(answer["sigma_arcsec"])).all(), (off, answer["sigma_arcsec"])
     assert answer["rigid"]

@@ -61,14 +61,8 @@ class Side:
         self.enter("warming")
         inside = Side(self.name, self.checkout, self.folder / "warming")
         words = [sys.executable, "-m", "bench.warm_up"]
-        subprocess.run(
-            words,
-            env=inside.environment(),
-            cwd=inside.folder,
-            capture_output=True,
-            check=True,
-            timeout=PATIENCE_S,
-        )
+        how = {"env": inside.environment(), "cwd": inside.folder, "timeout": PATIENCE_S}
+        subprocess.run(words, capture_output=True, check=True, **how)
 
     def environment(self) -> dict[str, str]:
         home = self.folder / "home"

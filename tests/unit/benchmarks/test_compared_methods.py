@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.model.camera import CameraModel
+from calib import CameraModel, StarTarget, View
 from calib.model.rotation import exp_map
-from calib.target import StarTarget
-from calib.view import View
 from tests.benchmarks.compared.by_others import calibrate_by_angles
 from tests.benchmarks.compared.columns import Column
 from tests.benchmarks.compared.gimbal_check import gimbal_ratio_error

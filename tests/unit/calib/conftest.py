@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.target import StarTarget
-from calib.view import View
+from calib import StarTarget, View
 
 TARGET = StarTarget()
 
@@ -39,14 +38,8 @@ class Bench:
     @property
     def truth(self):
         x, y, z = self.centre
-        pinhole = {
-            "fx": self.fx,
-            "fy": self.fy,
-            "cx": self.cx,
-            "cy": self.cy,
-            "k1": self.k[0],
-            "k2": self.k[1],
-        }
+        pinhole = dict(zip(("fx", "fy", "cx", "cy"), (self.fx, self.fy, self.cx, self.cy), strict=True))
+        pinhole |= {"k1": self.k[0], "k2": self.k[1]}
         return {**pinhole, "x": x, "y": y, "r": -z}
 
     @property

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from slow_cases import first_quick
+from slow_cases import first_quick, slow
 
-from calib.engine import CalibrationOptions, calibrate
+from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
 from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
-from calib.model.passport import Passport
 from calib.model.rotation import exp_map
 from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
 
@@ -28,7 +27,7 @@ def solved(bench, given, model="auto"):
     return calibrate(bench.views, CalibrationOptions(model=model, gimbal=given))
 
 
-@pytest.mark.parametrize("profile", ["ideal", pytest.param("S3", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("profile", ["ideal", slow("S3")])
 def test_readings_determine_the_focal_length_without_a_certificate(profile):
     bench = draw_bench(profile, NINE, 11)
     result = solved(bench, readings(bench))
@@ -87,28 +86,20 @@ def certified():
     ("change", "words"),
     [
         (each(lambda pose: {**pose, "pan_deg": 1.05 * pose["pan_deg"]}), "The pan axis turns 0.95"),
-        pytest.param(
+        slow(
             each(lambda pose: {**pose, "tilt_deg": pose["tilt_deg"] + (0.3 if pose["pan_deg"] > 1 else 0.0)}),
             "readings contradict the stars",
-            marks=pytest.mark.slow,
         ),
-        pytest.param(
-            lambda poses: [poses[0], poses[2], poses[1], *poses[3:]],
-            "The pose 'pose 3' does not fit",
-            marks=pytest.mark.slow,
-        ),
+        slow(lambda poses: [poses[0], poses[2], poses[1], *poses[3:]], "The pose 'pose 3' does not fit"),
         # A scale of one axis fits them a little better than none.
-        pytest.param(
-            lambda poses: [*poses[4:], *poses[:4]], "times as far as its readings say", marks=pytest.mark.slow
-        ),
+        slow(lambda poses: [*poses[4:], *poses[:4]], "times as far as its readings say"),
     ],
     ids=["a wrong scale", "an axis that slips", "two poses swapped", "of other poses"],
 )
 def test_readings_that_contradict_the_stars_are_named_and_change_nothing(certified, change, words):
     bench, certificate, alone = certified
-    result = calibrate(
-        bench.views, CalibrationOptions(gimbal=readings(bench, change=change), passport=certificate)
-    )
+    options = CalibrationOptions(gimbal=readings(bench, change=change), passport=certificate)
+    result = calibrate(bench.views, options)
     assert result.gimbal is not None
     assert not result.gimbal.entered
     assert result.camera.fx == alone.camera.fx

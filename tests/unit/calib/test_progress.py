@@ -1,7 +1,5 @@
 """How far a calibration is, for a person who waits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,29 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_cases import slow
 
+from calib import CalibrationOptions, Passport, calibrate
 from calib.adjustment.parameters import poses_of
-from calib.engine import CalibrationOptions, calibrate
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
-from calib.model.passport import Passport
 from calib.model.rotation import euler_zxy
 from tests.support.drawn_benches import NINE, THREE, draw_bench
 
 BENCHES = [
-    pytest.param("ideal", THREE, {}, id="ideal", marks=pytest.mark.slow),
-    pytest.param("like-bench", THREE, {}, id="like-bench", marks=pytest.mark.slow),
-    pytest.param("S3", THREE, {}, id="moved by hand", marks=pytest.mark.slow),
-    pytest.param(
-        "S3", NINE, {"passport": Passport.of_radius(255.0, 0.05)}, id="certificate", marks=pytest.mark.slow
-    ),
+    slow("ideal", THREE, {}, id="ideal"),
+    slow("like-bench", THREE, {}, id="like-bench"),
+    slow("S3", THREE, {}, id="moved by hand"),
+    slow("S3", NINE, {"passport": Passport.of_radius(255.0, 0.05)}, id="certificate"),
 ]
 
 
 def repeated(benches):
     """The views of benches that differ in nothing but their noise, as repeats of the poses."""
-    return [
-        replace(view, name=f"{view.name} ({k})") for k, bench in enumerate(benches) for view in bench.views
-    ]
+    named = ((f"{view.name} ({k})", view) for k, bench in enumerate(benches) for view in bench.views)
+    return [replace(view, name=name) for name, view in named]
 
 
 def expanded(views, **options):
@@ -50,20 +47,15 @@ def test_a_recording_that_is_there_twice_changes_nothing(profile, poses, options
     ("profile", "poses"),
     [
         ("like-bench", THREE),
-        pytest.param("like-bench", NINE, marks=pytest.mark.slow),
-        pytest.param("like-real", THREE, marks=pytest.mark.slow),
+        slow("like-bench", NINE),
+        slow("like-real", THREE),
     ],
 )
 def test_readings_that_are_there_twice_count_once(profile, poses):
     bench = draw_bench(profile, poses, 22)
-    bound = ParallaxBound(0.0, 0.01, 0.0, 1.0)
-    once, twice = (
-        expanded(
-            repeated([bench] * n),
-            gimbal=GimbalReadings(tuple(bench.readings_deg) * n, 0.002, 2e-4, 0.001, bound, "drawn"),
-        )
-        for n in (1, 2)
-    )
+    bound, angles = ParallaxBound(0.0, 0.01, 0.0, 1.0), tuple(bench.readings_deg)
+    gimbals = (GimbalReadings(angles * n, 0.002, 2e-4, 0.001, bound, "drawn") for n in (1, 2))
+    once, twice = (expanded(repeated([bench] * n), gimbal=gimbal) for n, gimbal in enumerate(gimbals, 1))
     assert twice == pytest.approx(once, rel=0.005)
 
 
@@ -84,15 +76,11 @@ def test_repeats_of_a_pose_do_not_average_out_what_differs_from_pose_to_pose(pro
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("common_share", "factor"), [(0.0, 0.5), pytest.param(1.0, 1.0, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("common_share", "factor"), [(0.0, 0.5), slow(1.0, 1.0)])
 def test_noise_that_comes_again_in_repeats_does_not_count_as_new(common_share, factor):
     """Four repeats of an ideal bench, U being that of the noise: the variance that they share stays."""
-    again = [
-        draw_bench("ideal", THREE, 22, star_sigma_px=0.05, noise_seed=k, common_share=common_share)
-        for k in range(4)
-    ]
+    drawn = {"star_sigma_px": 0.05, "common_share": common_share}
+    again = [draw_bench("ideal", THREE, 22, noise_seed=k, **drawn) for k in range(4)]
     bound = ParallaxBound(0.0, 0.001, 0.0, 0.1)  # Otherwise U of fx is that of the parallax
 
     def u_of_fx(views):

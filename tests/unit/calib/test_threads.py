@@ -1,7 +1,5 @@
 """Linear algebra of the engine runs on one thread, and leaves a notebook's own as it was."""
 
-from __future__ import annotations
-
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 

@@ -1,7 +1,5 @@
 """Ends of a line for driver tests: a transcript that must be followed to the byte, and a clock that is turned."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Answers as instruments give them: identities with five fields, prompts, echoes, numbers in other forms."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -163,9 +161,7 @@ def test_a_number_printed_with_at_least_four_digits_agrees_with_itself(value, di
 @pytest.mark.parametrize("unit", [("", 1.0), (" kHz", 1e-3), ("MHZ", 1e-6)])
 @pytest.mark.parametrize("comma", [False, True])
 @pytest.mark.parametrize("frequency_hz", [50.0, 123.456789])
-def test_a_siglent_with_fewer_digits_and_other_units_is_taken_at_its_word(
-    digits, unit, comma, frequency_hz
-) -> None:
+def test_a_siglent_with_fewer_digits_and_other_units_is_taken_at_its_word(digits, unit, comma, frequency_hz):
     bench = Bench("siglent")
     name, factor = unit
 

@@ -1,7 +1,5 @@
 """Devices that answer otherwise than the driver's family: the message names that, and does not blame the cable."""
 
-from __future__ import annotations
-
 import re
 import socket
 import struct
@@ -131,9 +129,7 @@ def test_a_pendant_that_has_given_the_control_back_is_no_cause() -> None:
 def test_a_banner_of_a_device_server_is_no_answer_and_no_fault() -> None:
     """Of ser2net's issue 133: it comes as soon as the port is open."""
     bench = GeneratorBench()
-    bench.line.ready = (
-        b"ser2net port telnet(rfc2217),tcp,5001 device serialdev,/dev/ttyDUT1,115200n81\r\n\r\n"
-    )
+    bench.line.ready = b"ser2net port telnet(rfc2217),tcp,5001 device serialdev,/dev/ttyDUT1\r\n\r\n"
     assert bench.open().identify().serial == "SG0042"
 
 
@@ -166,9 +162,7 @@ def test_what_the_other_end_says_before_it_is_silent_or_closes_is_the_cause(said
         (b"Keysight", "/dev/ttyUSB0", "right driver, baud rate and frame"),
     ],
 )
-def test_power_is_doubted_only_where_nothing_came_and_another_program_on_a_network(
-    answer, name, words
-) -> None:
+def test_power_is_doubted_only_where_nothing_came_another_program_on_a_network(answer, name, words) -> None:
     clock = VirtualClock()
     port = OtherDevice(clock, lambda _data: answer)
     port.name = name

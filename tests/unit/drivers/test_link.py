@@ -1,7 +1,5 @@
 """The link: lines in step, what was sent, devices that babble."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -148,9 +146,7 @@ class FullDisk(io.FileIO):
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
 
-def test_a_log_whose_write_fails_keeps_whole_lines_and_never_changes_after_that(
-    tmp_path, monkeypatch
-) -> None:
+def test_a_log_whose_write_fails_keeps_whole_lines_and_never_changes_after_that(tmp_path, monkeypatch):
     monkeypatch.setattr("drivers.wire_log.io.FileIO", FullDisk)
     log = WireLogFile(tmp_path / "wire.jsonl")
     for number in range(4):

@@ -65,9 +65,7 @@ def test_what_a_killed_process_left_does_not_stop_the_next_one(tmp_path, monkeyp
     assert not is_free(path)
 
 
-def test_a_file_of_another_program_is_never_taken_for_what_a_killed_process_left(
-    tmp_path, monkeypatch, write
-):
+def test_a_file_of_another_program_is_not_taken_for_what_a_killed_process_left(tmp_path, monkeypatch, write):
     path = tmp_path / "out"
     end_as_if_killed_at(monkeypatch, ("before", "_give_up"), path, write, "first")
     path.rename(tmp_path / "moved")

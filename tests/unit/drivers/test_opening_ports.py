@@ -92,9 +92,7 @@ SECTIONS = {
         ("text", ", frame: 7E1, xonxoff: true", (9600, False, "7E1", True)),
     ],
 )
-def test_the_line_is_the_maker_s_unless_the_station_says_otherwise(
-    monkeypatch, stage, more, settings
-) -> None:
+def test_the_line_is_the_maker_s_unless_the_station_says_otherwise(monkeypatch, stage, more, settings):
     """A published ESP300 was silent without it."""
     limits = "limits_deg: [-1, 1], speed_deg_s: 1, acceleration_deg_s2: 1}}"
     keys = yaml.safe_load(f"{SECTIONS[stage]}{limits}, port: COM3{more}}}")
@@ -125,9 +123,7 @@ def test_data_bits_parity_and_stop_bits_are_those_of_the_frame(monkeypatch, fram
 
 
 @pytest.mark.parametrize(("rtscts", "cause"), [(True, "line CTS was off"), (False, "Write timeout")])
-def test_a_device_that_holds_the_line_is_told_and_gets_nothing_later(
-    terminal, monkeypatch, rtscts, cause
-) -> None:
+def test_a_device_that_holds_the_line_is_told_and_gets_nothing_later(terminal, monkeypatch, rtscts, cause):
     thrown = []
 
     def hold(self: serial.Serial, data: bytes) -> int:
@@ -162,9 +158,7 @@ def test_a_computer_that_slept_while_it_sent_has_lost_no_port(terminal, monkeypa
 
 
 @pytest.mark.parametrize("error", [ValueError("Failed to set custom baud rate (7)"), NotImplementedError()])
-def test_a_baud_rate_that_the_port_cannot_do_is_a_port_error_and_leaves_it_closed(
-    terminal, monkeypatch, error
-) -> None:
+def test_a_baud_rate_that_the_port_cannot_do_leaves_it_closed(terminal, monkeypatch, error) -> None:
     def refuse(self: serial.Serial, force_update: bool = False) -> None:
         raise error
 

@@ -1,7 +1,5 @@
 """The two loops of every protocol: a request repeated after a bad reply, a line brought back into step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest
@@ -72,9 +70,7 @@ def test_the_error_of_the_last_attempt_is_passed_on() -> None:
         ),
     ],
 )
-def test_a_marker_answered_on_a_silent_line_proves_that_it_is_in_step(
-    old, answers, silence_after, events
-) -> None:
+def test_a_marker_answered_on_a_silent_line_proves_that_it_is_in_step(old, answers, silence_after, events):
     line = Line(*old)
     bring_into_step(line, *answers, silence_after=silence_after)
     assert line.events == events

@@ -1,7 +1,5 @@
 """The motion of an axis: ramps within their bounds, a load that settles, and a counter that can be wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given

@@ -42,11 +42,9 @@ def test_displacement_is_the_gradient_of_the_wave_aberration(values, point, pupi
     p = np.array([collimator.x, collimator.y]) + point
     moved = apparent_points(p[None], aberrations_of(collimator, np.eye(3)))[0] - p
     h, b, step = np.array(point) / collimator.r, np.array(pupil) / collimator.r, 1e-4
-    gradient = [
-        (wave_aberration(h, b + step * e, c) - wave_aberration(h, b - step * e, c)) / (2 * step)
-        for e in np.eye(2)
-    ]
-    np.testing.assert_allclose(moved, collimator.r * np.array(gradient), atol=1e-5)
+    ways = step * np.eye(2)
+    gradient = [wave_aberration(h, b + way, c) - wave_aberration(h, b - way, c) for way in ways]
+    np.testing.assert_allclose(moved, collimator.r * np.array(gradient) / (2 * step), atol=1e-5)
 
 
 @pytest.mark.parametrize("reticle", [ReticleTruth(), ReticleTruth(bow_mm=0.05, print_scale=2e-4)])
@@ -71,12 +69,8 @@ def test_the_disc_walks_with_the_turn_of_the_camera():
 def test_the_disc_wanders_and_breathes_by_its_sigmas_and_alike_in_like_poses():
     collimator = CollimatorTruth(disc_wander_mm=5.0, disc_breathing=0.1)
     poses = np.random.default_rng(1).uniform(-25.0, 25.0, (600, 2))
-    discs = np.array(
-        [
-            disc_of(collimator, optics.pose_rotation({"pan": a, "tilt": b}, OpticsTruth()))[:3]
-            for a, b in poses
-        ]
-    )
+    turns = [optics.pose_rotation({"pan": pan, "tilt": tilt}, OpticsTruth()) for pan, tilt in poses]
+    discs = np.array([disc_of(collimator, turn)[:3] for turn in turns])
     np.testing.assert_allclose(discs[:, :2].std(axis=0), 5.0, rtol=0.25)
     assert discs[:, 2].std() / discs[:, 2].mean() == pytest.approx(0.1, rel=0.25)
     near, there = (disc_of(collimator, optics.pose_rotation({"pan": p}, OpticsTruth())) for p in (3.0, 3.2))

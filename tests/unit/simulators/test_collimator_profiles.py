@@ -51,9 +51,8 @@ def test_glass_change_sets_how_far_one_must_turn_to_see_other_glass():
         axis = np.array([tangent, 0.0, 1.0]) / np.hypot(tangent, 1.0)
         return np.array([[axis[2], 0.0, -axis[0]], [0.0, 1.0, 0.0], axis])
 
-    np.testing.assert_allclose(
-        disc_of(fast, rotation(0.05)).edge, disc_of(plain, rotation(0.1)).edge, atol=1e-12
-    )
+    there, here = disc_of(fast, rotation(0.05)), disc_of(plain, rotation(0.1))
+    np.testing.assert_allclose(there.edge, here.edge, atol=1e-12)
     around = np.array([[plain.x + 50.0, plain.y], [plain.x, plain.y + 50.0]])
     still = disc_of(replace(plain, glass_change=0.0), rotation(0.1))
     np.testing.assert_array_equal(

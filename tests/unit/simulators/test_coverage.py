@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from inner_loops import from_python
+from scipy.special import ndtr
+from slow_cases import slow
 
 from calib.target import StarTarget
 from simulators.optics.drawing import add_edge as inner_add_edge
@@ -82,23 +84,14 @@ def test_an_edge_through_the_point_spread_is_an_error_function_wherever_it_stand
             add_edge(steps, x0, y0, x1, y1, 1.0)
         row = join_cells(steps, light, (0.0, 1.0), kernel, cells, margin)[0]
         fine = np.arange(0.005, 1.0, 0.01)
-        expected = [
-            np.mean([0.5 * (1 + math.erf((j + s - place) / 0.7 / math.sqrt(2))) for s in fine])
-            for j in range(20)
-        ]
+        expected = ndtr((np.arange(20)[:, None] + fine - place) / 0.7).mean(axis=1)
         worst = max(worst, np.abs(row - expected).max())
     assert worst < bound
 
 
 @pytest.mark.parametrize(
     "target",
-    [
-        StarTarget(),
-        *(
-            pytest.param(target, marks=pytest.mark.slow)
-            for target in (StarTarget(17, 24, 5.0, 12, tag_square=(6, 9)), StarTarget(segments=4))
-        ),
-    ],
+    [StarTarget(), slow(StarTarget(17, 24, 5.0, 12, tag_square=(6, 9))), slow(StarTarget(segments=4))],
 )
 def test_the_outline_is_black_where_the_print_is(target):
     polygons = black_polygons(target)
@@ -135,9 +128,7 @@ def test_a_reset_finds_the_next_crossing_to_a_tenth_of_a_microsecond(width, rese
     # Lights that just reach an ON threshold of 25 % from the dark, and some that do not.
     scene = np.linspace(0.02776, 0.0278, 640, dtype=np.float32).reshape(-1, width)
     given, start_pixels = [], pixel_reset.start_pixels
-    monkeypatch.setattr(
-        pixel_reset, "start_pixels", lambda *parts: given.append(parts) or start_pixels(*parts)
-    )
+    monkeypatch.setattr(pixel_reset, "start_pixels", lambda *of: given.append(of) or start_pixels(*of))
     sensor.begin(scene, SQUARE, 0.0)
     ((px, drive, ro, _, state, random),) = given
     worst, flat = 0.0, 0

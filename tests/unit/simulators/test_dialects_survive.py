@@ -1,7 +1,5 @@
 """Whatever a client sends, a simulated device answers or is silent; it never raises."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 

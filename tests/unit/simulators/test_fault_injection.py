@@ -1,7 +1,5 @@
 """An order for a fault reaches the part of the bench that it names, and no other."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Parsing of orders for faults, and faults of the lamp that its driver does not notice."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import numpy as np

@@ -30,9 +30,8 @@ READINGS = np.arange(-180.0, 180.0, 0.5)
 
 def about(angles):
     """Rz(roll) Rx(tilt) Ry(pan), by another program."""
-    return Rotation.from_euler(
-        "yxz", [angles["pan"], angles["tilt"], angles["roll"]], degrees=True
-    ).as_matrix()
+    ordered = [angles[name] for name in ("pan", "tilt", "roll")]
+    return Rotation.from_euler("yxz", ordered, degrees=True).as_matrix()
 
 
 def apart_deg(first, other):
@@ -158,11 +157,8 @@ def test_backlash_stands_in_either_section_but_not_in_both():
     for config in (own, of_gimbal):
         assert [axis.backlash_deg for axis in config.axes.values()] == [0.03, 0.0]
         assert config.truth_for(1).gimbal.backlash_deg == (0.03, 0.0, 0.0)
-    assert bench_config({"gimbal": {"backlash_deg": 0.01}}).truth_for(1).gimbal.backlash_deg == (
-        0.01,
-        0.01,
-        0.0,
-    )
+    all_axes = bench_config({"gimbal": {"backlash_deg": 0.01}}).truth_for(1)
+    assert all_axes.gimbal.backlash_deg == (0.01, 0.01, 0.0)
 
 
 def test_the_truth_file_holds_what_is_needed_to_compute_the_errors():

@@ -62,15 +62,12 @@ def test_blur_and_breathing_are_those_of_traced_rays(distance_m, f_number):
     hits = traced(focal_mm, image_mm, f_number, tangent=tangent)
     # The pattern is at infinity, so the light of one of its points fills a disc around the ray through the middle.
     assert blur_px(truth) == pytest.approx(np.ptp(hits, axis=0).max(), rel=0.01)
-    assert camera_of(truth).fx * tangent == pytest.approx(
-        hits[:, 0].mean() * truth.camera.fx / 3345.165, rel=1e-4
-    )
+    seen_px = hits[:, 0].mean() * truth.camera.fx / 3345.165
+    assert camera_of(truth).fx * tangent == pytest.approx(seen_px, rel=1e-4)
     c = truth.collimator
     point = np.array([[c.x + c.r * tangent, c.y]])
     seen = project(point, true_rotation({}, truth), truth)
-    assert seen[0, 0] - truth.camera.cx == pytest.approx(
-        hits[:, 0].mean() * truth.camera.fx / 3345.165, rel=1e-6
-    )
+    assert seen[0, 0] - truth.camera.cx == pytest.approx(seen_px, rel=1e-6)
 
 
 def test_the_profile_of_a_blurred_edge_is_that_of_traced_rays():
@@ -126,9 +123,8 @@ def test_the_truth_file_has_strict_numbers():
     for lens in ({}, {"focus_distance_m": "infinity"}, {"focus_distance_m": 1.0}):
         record = truth_record(bench_config({"lens": lens}).truth)
         lens_record = json.loads(json.dumps(record, allow_nan=False))["lens"]
-        assert lens_record["blur_px"] == pytest.approx(
-            19.74 if lens.get("focus_distance_m") == 1.0 else 0.0, abs=0.01
-        )
+        expected_px = 19.74 if lens.get("focus_distance_m") == 1.0 else 0.0
+        assert lens_record["blur_px"] == pytest.approx(expected_px, abs=0.01)
 
 
 def test_a_camera_turned_in_its_mount_sees_the_target_turned():
@@ -136,12 +132,9 @@ def test_a_camera_turned_in_its_mount_sees_the_target_turned():
     rolled = replace(truth, mount=MountTruth(turn_deg=(0.0, 0.0, 10.0)))
     tipped = replace(truth, mount=MountTruth(turn_deg=(3.0, -2.0, 0.0)))
     np.testing.assert_allclose(true_rotation({}, rolled), true_rotation({"roll": 10.0}, truth), atol=1e-12)
-    np.testing.assert_allclose(
-        true_rotation({}, tipped), true_rotation({"pan": 3.0, "tilt": -2.0}, truth), atol=1e-12
-    )
+    expected = true_rotation({"pan": 3.0, "tilt": -2.0}, truth)
+    np.testing.assert_allclose(true_rotation({}, tipped), expected, atol=1e-12)
     # the mount is turned after the axes: a roll in it also turns the directions in which pan and tilt move the image
-    assert (
-        np.abs(true_rotation({"pan": 3.0}, rolled) - true_rotation({"pan": 3.0, "roll": 10.0}, truth)).max()
-        < 1e-12
-    )
+    wrong = true_rotation({"pan": 3.0}, rolled) - true_rotation({"pan": 3.0, "roll": 10.0}, truth)
+    assert np.abs(wrong).max() < 1e-12
     assert projection_of(rolled, true_rotation({}, rolled)).rotation.shape == (3, 3)

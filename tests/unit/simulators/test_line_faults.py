@@ -1,7 +1,5 @@
 """Faults of a line: each affects as many messages as ordered, and no others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

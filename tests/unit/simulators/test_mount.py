@@ -34,9 +34,8 @@ def test_vibration_has_its_amplitude_and_frequency():
     assert np.ptp(course[:, 2]) == 0.0
     spectrum = np.abs(np.fft.rfft(course[:, 0]))
     assert np.fft.rfftfreq(times.size, 0.001)[spectrum.argmax()] == pytest.approx(25.0)
-    np.testing.assert_allclose(
-        at(mount, 0.04, phases=(0.1, 0.2)), at(mount, 0.0, phases=(0.1, 0.2)), atol=1e-9
-    )
+    breathing, held = (at(mount, t, phases=(0.1, 0.2)) for t in (0.04, 0.0))
+    np.testing.assert_allclose(breathing, held, atol=1e-9)
 
 
 def test_drift_goes_on_from_recording_to_recording():
@@ -91,13 +90,11 @@ def test_a_pupil_in_front_of_the_pivot_acts_as_a_shift_of_the_camera():
     rotation = true_rotation({"pan": 5.0}, walking)
     axis = rotation[2, 0] / rotation[2, 2]
     assert abs(axis) == pytest.approx(tangent)
-    shifted = Truth(
-        collimator=CollimatorTruth(defocus=0.066), optics=level, mount=MountTruth(shift_mm=(2.0 * axis, 0.0))
-    )
+    mount = MountTruth(shift_mm=(2.0 * axis, 0.0))
+    shifted = Truth(collimator=CollimatorTruth(defocus=0.066), optics=level, mount=mount)
     points = np.array([[100.0, 140.0], [80.0, 150.0]])
-    np.testing.assert_allclose(
-        project(points, rotation, walking), project(points, rotation, shifted), atol=1e-9
-    )
+    walks, moves = (project(points, rotation, truth) for truth in (walking, shifted))
+    np.testing.assert_allclose(walks, moves, atol=1e-9)
 
 
 def test_the_world_remembers_where_the_camera_stood():

@@ -54,14 +54,8 @@ def true_stars(rehearsed, angles):
 
 
 def test_the_camera_points_where_the_errors_of_the_gimbal_lead_it():
-    errors = {
-        "scale": 2e-3,
-        "wobble_deg": 0.02,
-        "eccentricity_deg": 0.05,
-        "nonorthogonality_deg": 0.2,
-        "seed": 8,
-    }
-    config = {"rehearsal": {"star_sigma_px": 0}, "gimbal": errors}
+    errors = {"scale": 2e-3, "wobble_deg": 0.02, "eccentricity_deg": 0.05, "nonorthogonality_deg": 0.2}
+    config = {"rehearsal": {"star_sigma_px": 0}, "gimbal": errors | {"seed": 8}}
     rehearsed = RehearsedWorld(config, 1)
     np.testing.assert_array_equal(rehearsed.record(POSE, 50.0, 0).points_px, true_stars(rehearsed, POSE))
     perfect = RehearsedWorld({"rehearsal": {"star_sigma_px": 0}}, 1)
@@ -72,9 +66,8 @@ def test_the_camera_points_where_the_errors_of_the_gimbal_lead_it():
 
 
 def test_with_backlash_the_side_from_which_an_axis_came_matters():
-    rehearsed = RehearsedWorld(
-        {"rehearsal": {"star_sigma_px": 0}, "gimbal": {"backlash_deg": {"pan": 0.04}}}, 1
-    )
+    gimbal = {"backlash_deg": {"pan": 0.04}}
+    rehearsed = RehearsedWorld({"rehearsal": {"star_sigma_px": 0}, "gimbal": gimbal}, 1)
     from_below = rehearsed.record({"pan": 3.0}, 50.0, 0).points_px
     np.testing.assert_array_equal(from_below, true_stars(rehearsed, {"pan": 2.98}))
     again = rehearsed.record({"pan": 3.0}, 60.0, 1).points_px

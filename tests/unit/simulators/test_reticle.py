@@ -32,9 +32,7 @@ AROUND = st.floats(0.0, 2.0 * np.pi)
 @given(
     bow_mm=st.floats(-0.1, 0.1), bow_radius_mm=st.floats(10.0, 80.0), away_mm=st.floats(1.0, 60.0), phi=AROUND
 )
-def test_a_bowed_reticle_moves_a_point_by_its_height_times_its_field_angle(
-    bow_mm, bow_radius_mm, away_mm, phi
-):
+def test_a_bowed_reticle_moves_a_point_by_its_height_times_its_angle(bow_mm, bow_radius_mm, away_mm, phi):
     c = CollimatorTruth()
     reticle = ReticleTruth(bow_mm=bow_mm, bow_radius_mm=bow_radius_mm)
     point = np.array([[c.x + away_mm * np.cos(phi), c.y + away_mm * np.sin(phi)]])
@@ -86,10 +84,8 @@ def over(points, drawn):
 
 
 def test_the_displacement_has_the_rms_asked_for_over_disc_and_poses():
-    squares = [
-        (over(DISC[::7], field_coefficients(tuple(pose), 0.02, 0.0, 1)) ** 2).sum(axis=1).mean()
-        for pose in POSES
-    ]
+    fields = (over(DISC[::7], field_coefficients(tuple(pose), 0.02, 0.0, 1)) for pose in POSES)
+    squares = [(field**2).sum(axis=1).mean() for field in fields]
     assert np.sqrt(np.mean(squares)) == pytest.approx(0.02, rel=0.15)
 
 

@@ -1,7 +1,5 @@
 """What a reader copies from the document on the simulated bench works."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -27,8 +25,6 @@ def test_an_example_is_a_valid_configuration(section):
 
 def test_the_example_orders_are_valid():
     block = TEXT.split("answered by a line of JSON:\n\n```\n", 1)[1].split("```", 1)[0].splitlines()
-    orders = [
-        fault_order(yaml.safe_load(line)) if line.startswith("{") else fault_order_from_text(line)
-        for line in block
-    ]
+    read = {True: lambda line: fault_order(yaml.safe_load(line)), False: fault_order_from_text}
+    orders = [read[line.startswith("{")](line) for line in block]
     assert [order.fault for order in orders] == ["stall", "late", "wrong_frequency"]

@@ -1,7 +1,5 @@
 """Every kind of stage, built from one configuration, points where its own commands ask."""
 
-from __future__ import annotations
-
 import pytest
 
 from simulators.assembly import Stage, make_stage

@@ -1,7 +1,5 @@
 """Faults of the camera's stream: which frames arrive, and how they are changed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -15,9 +15,8 @@ def width_of(image):
 
 
 def test_the_edge_width_falls_while_the_ring_is_turned_to_focus():
-    widths = [
-        width_of(fired(seen(bench(circle_px=circle)), level_percent=20.0)) for circle in (20.0, 9.0, 0.0)
-    ]
+    shown = [seen(bench(circle_px=circle)) for circle in (20.0, 9.0, 0.0)]
+    widths = [width_of(fired(share, level_percent=20.0)) for share in shown]
     assert None not in widths
     assert (np.diff(widths) < -0.1).all(), widths
     assert widths[-1] == pytest.approx(0.7, abs=0.15)

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from bench.base.errors import ControlRefused
@@ -34,8 +35,8 @@ def test_hands_turn_the_lens_of_a_simulated_bench_only():
     [
         ("lens break", {}),
         ("pan stall", {"share": 1.0}),
-        ("lens turn", {"x": 1.0}),
-        ("lens turn", {"deg": float("inf")}),
+        ("lens turn", {"x": 1}),
+        ("lens turn", {"deg": np.inf}),
     ],
 )
 def test_hands_do_only_what_hands_can_do(action, numbers):

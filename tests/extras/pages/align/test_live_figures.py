@@ -112,9 +112,8 @@ def test_a_real_recording_without_a_flicker(light_on):
 def test_missing_sync_and_a_wrong_frequency(folder, tmp_path):
     share = seen(bench())
     _, without = figures_of(write_slice(tmp_path / "no_sync.raw", share, triggers=False, periods=2))
-    assert off(without) == {"Sync edges": "none"} | {
-        name: v for name, v in off(without).items() if "Turn" in name
-    }
+    turns = {name: value for name, value in off(without).items() if "Turn" in name}
+    assert off(without) == {"Sync edges": "none"} | turns
     assert len(without.stars) > 200
     _, other = figures_of(write_slice(tmp_path / "fast.raw", share, light=drive(frequency_hz=75.0)))
     assert "74.999 Hz" in off(other)["Sync edges"]
@@ -126,9 +125,8 @@ def test_far_out_of_focus(tmp_path):
     reading = {"pan": 4.0}
     nothing = write_slice(tmp_path / "nothing.raw", seen(bench(circle_px=30.0), **reading))
     _, white = figures_of(nothing, reading_deg=reading)
-    assert {"Stars": "0", "Tag 3": "not found", "Edge width": "", "Turn pan by": "-4"}.items() <= off(
-        white
-    ).items()
+    out_of_focus = {"Stars": "0", "Tag 3": "not found", "Edge width": "", "Turn pan by": "-4"}
+    assert out_of_focus.items() <= off(white).items()
     truth = bench(circle_px=20.0)
     _, bright = figures_of(write_slice(tmp_path / "bright.raw", seen(truth, **reading)), reading_deg=reading)
     assert bright.to_json()["square"]["side_px"] > 100.0

@@ -23,8 +23,7 @@ from bench.extras.pages.align.live_image import (
 )
 from bench.extras.pages.align.meter import MeterProcess
 from bench.stations.station import load_station
-from calib.events.event_image import make_images
-from calib.events.flicker import flicker_from_triggers
+from calib import flicker_from_triggers, make_images
 from drivers.camera.event_arrays import Triggers
 from drivers.camera.evt3 import StreamStatistics
 from drivers.camera.raw_file import RawFile

@@ -1,7 +1,5 @@
 """Commands that show the bench: panel, simulate, devices."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal
@@ -13,6 +11,7 @@ import httpx
 import pytest
 from click.testing import CliRunner
 from running import STARBENCH, called, environment, start
+from slow_cases import slow
 
 from bench.base.clock import BenchClock
 from bench.commands.cli import cli
@@ -39,7 +38,7 @@ def panel(root, *words, home):
         process.communicate()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
 def test_the_first_line_is_the_address_and_ctrl_c_ends_it_quietly(root, tmp_path, number):
     with panel(root, home=tmp_path) as (process, line):
         url, token = re.fullmatch(r"(http://127\.0\.0\.1:\d+/)sign-in#token=(\S{22,})", line).groups()

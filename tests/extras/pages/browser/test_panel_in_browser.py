@@ -1,7 +1,5 @@
 """The panel in a real browser: what a person sees and presses. Skipped where no Chromium is."""
 
-from __future__ import annotations
-
 import re
 import signal
 from contextlib import contextmanager

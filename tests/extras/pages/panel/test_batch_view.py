@@ -1,7 +1,5 @@
 """A batch as its page shows it, and what the helper process calculates."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -49,10 +47,8 @@ def test_a_damaged_batch_says_so(batch):
 
 
 def test_failures_come_first_and_what_has_not_begun_last(batch, monkeypatch):
-    items = [
-        {"item": str(n), "how": how}
-        for n, how in enumerate(("finished", "not begun", "died", "aborted", "failed"))
-    ]
+    hows = ("finished", "not begun", "died", "aborted", "failed")
+    items = [{"item": str(n), "how": how} for n, how in enumerate(hows)]
     monkeypatch.setattr(batch_view, "summarise", lambda *_: {"items": items})
     shown = json.loads(BatchView(batch.folder).text()[0])
     assert [item["how"] for item in shown["items"]] == ["died", "failed", "finished", "aborted", "not begun"]

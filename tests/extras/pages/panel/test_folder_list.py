@@ -1,7 +1,5 @@
 """The list of runs and batches in a folder, also one with folders that cannot be read."""
 
-from __future__ import annotations
-
 import json
 import os
 
@@ -27,11 +25,8 @@ def test_runs_of_all_kinds_newest_first(tmp_path):
     (tmp_path / "empty").mkdir()
     listing = _look(tmp_path)
     rows = {row["key"]: row for row in listing["runs"]}
-    assert {key: row["verdict"] for key, row in rows.items()} == {
-        "a": "not sealed",
-        "b": "failed",
-        "deeper/c": "interrupted",
-    }
+    verdicts = {"a": "not sealed", "b": "failed", "deeper/c": "interrupted"}
+    assert {key: row["verdict"] for key, row in rows.items()} == verdicts
     assert rows["b"]["why"] == "the lamp is broken"
     assert rows["a"]["accepted"] == 3
     assert rows["a"]["camera"] == "42"
@@ -51,10 +46,8 @@ def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
     MadeRun(batch.folder / "runs" / "cam-001").begin()
     listing = _look(tmp_path)
     assert listing["runs"] == []
-    assert [(row["key"], row["queue"], row["coming"]) for row in listing["batches"]] == [
-        ("night", "Night", 1)
-    ]
-    assert listing["batches"][0]["ended_utc"] == ""
+    (row,) = listing["batches"]
+    assert (row["key"], row["queue"], row["coming"], row["ended_utc"]) == ("night", "Night", 1, "")
 
 
 @pytest.fixture
@@ -131,10 +124,8 @@ def test_of_very_many_runs_some_are_read_at_each_look_until_all_are_listed(tmp_p
 
 
 def test_a_run_that_another_replaces_in_its_folder_is_read_again(tmp_path):
-    old, new = (
-        MadeRun(tmp_path / "a").begin().end(),
-        MadeRun(tmp_path / "away" / "b").begin().end("failed", "so"),
-    )
+    old = MadeRun(tmp_path / "a").begin().end()
+    new = MadeRun(tmp_path / "away" / "b").begin().end("failed", "so")
     listed = FolderList(tmp_path)
     assert {row["key"]: row["how"] if "how" in row else row["verdict"] for row in listed.look()["runs"]}["a"]
     times = old.path.stat()

@@ -1,7 +1,5 @@
 """Reading a journal that another process writes: whole lines only, each once, each verified."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """The panel's pages and streams: what they tell, that nothing is lost, and how commands reach a run."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

@@ -1,7 +1,5 @@
 """A run as its page shows it: poses, log, last recording, verdict, times, and whether it can be left alone."""
 
-from __future__ import annotations
-
 import json
 from datetime import datetime, timedelta
 
@@ -49,26 +47,20 @@ def test_poses_follow_the_journal(run):
     assert _states(model) == ["accepted", "rejected", "planned"]
     assert model.rows[2]["why"].startswith("3 stars")
     run.record(2, attempt=2)
-    run.write(
-        "pose_skipped", pose=3, pose_name="pose 3", what="Pose 3 (pose 3) was skipped: Ada asked for it."
-    )
+    run.write("pose_skipped", pose=3, pose_name="pose 3", what="Pose 3 was skipped: Ada asked for it.")
     model.refresh()
     assert _states(model) == ["accepted", "accepted", "skipped"]
     assert (model.rows[2]["attempts"], model.rows[2]["why"]) == (2, "")
 
 
 def test_a_pose_is_at_work_until_the_next_one(run):
-    run.write(
-        "entering", state="slewing", **{"from": "homing"}, step=1, pose=1, pose_name="pose 1", target_deg={}
-    )
+    run.enter("slewing", "homing", step=1, pose=1, pose_name="pose 1", target_deg={})
     model = _read(run)
     assert _states(model) == ["at work", "planned", "planned"]
-    run.write(
-        "entering", state="slewing", **{"from": "slewing"}, step=3, pose=2, pose_name="pose 2", target_deg={}
-    )
+    run.enter("slewing", "slewing", step=3, pose=2, pose_name="pose 2", target_deg={})
     model.refresh()
     assert _states(model) == ["planned", "at work", "planned"]
-    run.write("entering", state="parking", **{"from": "slewing"}, step=0)
+    run.enter("parking", "slewing", step=0)
     model.refresh()
     assert _states(model) == ["planned"] * 3
 
@@ -212,9 +204,8 @@ def test_the_time_left_is_scaled_by_what_the_steps_took(tmp_path):
     last = datetime.fromisoformat(model.log[-1]["utc"]) + timedelta(seconds=0.1)
     assert model.time_left.left_s(last, held=False) == pytest.approx(left_s, abs=0.01)
     # The step of 0.3 s is late by 0.7 s, and expected to need as long again.
-    assert model.time_left.left_s(last + timedelta(seconds=1), held=False) == pytest.approx(
-        left_s - 0.3 + 0.7, abs=0.01
-    )
+    late = model.time_left.left_s(last + timedelta(seconds=1), held=False)
+    assert late == pytest.approx(left_s - 0.3 + 0.7, abs=0.01)
     assert model.time_left.left_s(last + timedelta(seconds=1), held=True) == pytest.approx(left_s, abs=0.01)
 
 

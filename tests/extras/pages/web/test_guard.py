@@ -1,7 +1,5 @@
 """Who may use the pages: names of the host, origins, the token, and the headers of every answer."""
 
-from __future__ import annotations
-
 import re
 
 import httpx
@@ -116,19 +114,16 @@ def test_a_browser_is_led_to_a_host_of_this_start_alone_and_keeps_path_and_port_
     first, second = (_client(token=PageToken(TOKEN)) for _ in range(2))
     asked = {"Host": "localhost:9911", **HTML}
     moved = [client.get("/run/x?pose=3", headers=asked).headers["Location"] for client in (first, second)]
-    assert all(
-        re.fullmatch(r"http://starbench-[0-9a-f]{16}\.localhost:9911/run/x\?pose=3", address)
-        for address in moved
-    )
+    moved_to = r"http://starbench-[0-9a-f]{16}\.localhost:9911/run/x\?pose=3"
+    assert all(re.fullmatch(moved_to, address) for address in moved)
     assert moved[0] != moved[1]
 
 
 @pytest.mark.parametrize("name", ["127.0.0.1:8800", "localhost:8800", "starbench-0.localhost:8800"])
 def test_a_host_that_other_servers_share_gets_no_session(name):
     client = _client(token=PageToken(TOKEN))
-    answer = client.post(
-        "/sign-in", json={"token": TOKEN}, headers={"Host": name, "Origin": f"http://{name}"}
-    )
+    headers = {"Host": name, "Origin": f"http://{name}"}
+    answer = client.post("/sign-in", json={"token": TOKEN}, headers=headers)
     assert answer.status_code == 421
     assert "Set-Cookie" not in answer.headers
 

@@ -1,7 +1,5 @@
 """The server of pages and its streams, over real sockets."""
 
-from __future__ import annotations
-
 import os
 import socket
 import time
@@ -111,9 +109,7 @@ def test_an_address_of_another_computer_is_one_clear_error():
         PageServer(_Counter().app(), host="192.0.2.1", token=PageToken("0123456789abcdef"))
 
 
-def test_only_a_token_that_was_made_stands_in_the_printed_address_and_the_browser_gets_it_from_a_file(
-    monkeypatch,
-):
+def test_only_a_token_that_was_made_stands_in_the_address_and_the_browser_gets_it_from_a_file(monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     with served(_Counter().app(), token=PageToken("given-by-a-person")) as server:

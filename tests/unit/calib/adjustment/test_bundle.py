@@ -5,21 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib import CameraModel, Collimator
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.errors import InputMismatch
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
 
 
 def parameters_near(bench, rng, n=3):
     camera = CameraModel(3300.0, 3310.0, 640.0, 360.0, bench.size, {"k1": 0.1, "k2": -0.5})
-    return AdjustmentParameters(
-        camera, Collimator(97.5, 140.0, 254.0), bench.rotations[:n], 0.3 * rng.standard_normal((n, 3))
-    )
+    turns = bench.rotations[:n]
+    shifts = 0.3 * rng.standard_normal((n, 3))
+    return AdjustmentParameters(camera, Collimator(97.5, 140.0, 254.0), turns, shifts)
 
 
 def test_the_reduced_information_is_that_of_the_whole_system(bench):
@@ -49,12 +48,8 @@ def test_a_covariance_that_is_none_is_refused(bench):
         Observations.from_views([replace(view, covariances_px2=np.zeros((len(view), 2, 2)))])
 
 
-LENSES = [
-    ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    ("k2", "p2", "k6"),
-    ("kb1", "kb2", "kb3", "kb4"),
-    (),
-]
+BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+LENSES = [BROWN, ("k2", "p2", "k6"), ("kb1", "kb2", "kb3", "kb4"), ()]
 
 
 def slopes(bundle, parameters):
@@ -107,10 +102,8 @@ def test_the_derivatives_with_distorted_glass_are_those_of_differences(bench):
     parameters = replace(near, collimator=replace(near.collimator, aberrations={"radial": 0.8}))
     expected = slopes(bundle, parameters).transpose(0, 2, 1)
     slope = bundle.derivatives(parameters)
-    assert (
-        np.abs(np.linalg.norm(slope - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))).max()
-        < 1e-5
-    )
+    error, size = (np.linalg.norm(by, axis=(1, 2)) for by in (slope - expected, expected))
+    assert (error / size).max() < 1e-5
 
 
 @pytest.mark.parametrize("loss", [Loss("huber", 1.0), Loss("cauchy", 1.0)])
@@ -132,9 +125,8 @@ def test_a_robust_cost_curves_as_its_differences_do(bench, loss):
     plain = bundle.equations(parameters, loss, curved=False)
     assert np.array_equal(plain.normal, bundle.equations(parameters, Loss("l2")).normal)
     assert np.array_equal(plain.right, equations.right)
-    assert (
-        np.diagonal(equations.normal, axis1=1, axis2=2) < np.diagonal(plain.normal, axis1=1, axis2=2)
-    ).all()
+    curved, straight = (np.diagonal(of.normal, axis1=1, axis2=2) for of in (equations, plain))
+    assert (curved < straight).all()
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from slow_cases import slow
 
+from calib import CalibrationOptions, Collimator, Passport, calibrate
 from calib.adjustment.initialization import (
     initialized,
     passport_starts,
@@ -12,12 +14,9 @@ from calib.adjustment.initialization import (
     spherical_starts,
     with_distorted_glass,
 )
-from calib.engine import CalibrationOptions, calibrate
 from calib.errors import CalibrationError, DegenerateViews
 from calib.model.closed_forms import camera_matrix_from_centre, linear_solution, zhang_matrix
-from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
-from calib.model.passport import Passport
 from tests.unit.calib.conftest import Bench, rotation
 
 SIZE = (1280, 720)
@@ -70,9 +69,7 @@ def closed_forms(h):
         answers_of["zhang", free] = [None if matrix is None else (matrix, None)]
     matrix = camera_matrix_from_centre(h, Collimator(97.0, 140.1, 255.0))
     answers_of["known centre"] = [None if matrix is None else (matrix, None)]
-    return {
-        name: [answer for answer in answers if answer is not None] for name, answers in answers_of.items()
-    }
+    return {name: [one for one in answers if one is not None] for name, answers in answers_of.items()}
 
 
 def assert_real(matrix, collimator=None):
@@ -164,18 +161,16 @@ def test_one_view_of_a_known_collimator_begins_at_its_camera(bench):
 # ---------------------------------------------------------------- degenerate views
 
 
-@pytest.mark.parametrize("noise_px", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
+@pytest.mark.parametrize("noise_px", [slow(0.0), 0.05])
 @pytest.mark.parametrize(
     ("poses", "reason"),
     [
         ((), "0 views"),
         (((0, 0),), "1 view given; at least 2"),
-        pytest.param(((1, 1), (1, 1)), "All 2 views show the same pose", marks=pytest.mark.slow),
+        slow(((1, 1), (1, 1)), "All 2 views show the same pose"),
         (((1, 1), (1, 1.1), (1.1, 1)), "All 3 views show the same pose"),
         (((0, 0, 0), (0, 0, 30)), "roll about the optical axis"),
-        pytest.param(
-            ((0, 0, 0), (0, 0, 30), (0, 0, -50)), "roll about the optical axis", marks=pytest.mark.slow
-        ),
+        slow(((0, 0, 0), (0, 0, 30), (0, 0, -50)), "roll about the optical axis"),
     ],
 )
 def test_views_that_do_not_constrain_are_named(bench, poses, reason, noise_px):
@@ -186,9 +181,7 @@ def test_views_that_do_not_constrain_are_named(bench, poses, reason, noise_px):
 
 @pytest.mark.slow
 def test_a_beam_too_narrow_is_named(make_bench):
-    bench = make_bench(
-        centre=(60.0, 60.0, -255.0), half_angle_deg=1.9, poses=((0, 0), (1, 0.5, 20), (-0.5, 1))
-    )
+    bench = make_bench(centre=(60, 60, -255), half_angle_deg=1.9, poses=((0, 0), (1, 0.5, 20), (-0.5, 1)))
     with pytest.raises(DegenerateViews, match="beam is too narrow"):
         calibrate(bench.views(np.random.default_rng(32), 0.2))
 
@@ -250,7 +243,6 @@ def test_poses_that_the_search_parts_stay_as_they_were_found():
     views = bench.views(np.random.default_rng(3), 2.0)
     with pytest.raises(CalibrationError, match="determine"):
         calibrate(views, CalibrationOptions(distortion="k1"))
-    result = calibrate(
-        views, CalibrationOptions(distortion="k1", passport=Passport.of_radius(255.0, 0.1, length="seen"))
-    )
+    certificate = Passport.of_radius(255.0, 0.1, length="seen")
+    result = calibrate(views, CalibrationOptions(distortion="k1", passport=certificate))
     assert np.isfinite(result.estimates).all()

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from made_views import shifted
 
+from calib import CalibrationOptions, CameraModel, Collimator, calibrate
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.engine import CalibrationOptions, calibrate
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map
 from calib.uncertainty.covariance import covariance_at_optimum
 

@@ -26,11 +26,8 @@ KINDS = {
 
 def model_of(bench: DrawnGimbal) -> GimbalModel:
     free = tuple(int(i) for i in np.flatnonzero(np.ptp(bench.angles, axis=0) > 0.5))
-    return GimbalModel(
-        bench.angles,
-        np.linspace(0, 1, len(bench.angles)),
-        free if 3 * len(bench.angles) > 6 + len(free) else (),
-    )
+    n = len(bench.angles)
+    return GimbalModel(bench.angles, np.linspace(0, 1, n), free if 3 * n > 6 + len(free) else ())
 
 
 def explained(bench: DrawnGimbal) -> Explanation:
@@ -63,16 +60,8 @@ def test_no_start_leads_to_a_lower_minimum(kind):
 
 def test_the_stated_covariance_alone_leads_to_absurd_scales():
     # Views that a collimator biases, and a shared uncertainty of the focal length: Peelle's pertinent puzzle.
-    bench = draw_gimbal(
-        5,
-        poses=9,
-        raster=True,
-        range_deg=6,
-        bias_deg=0.1,
-        focal_error=0.03,
-        focal_sigma=0.016,
-        noise_arcsec=10,
-    )
+    drawn = {"poses": 9, "raster": True, "range_deg": 6, "bias_deg": 0.1, "noise_arcsec": 10}
+    bench = draw_gimbal(5, **drawn, focal_error=0.03, focal_sigma=0.016)
     model = model_of(bench)
     whitening = np.linalg.inv(np.linalg.cholesky(bench.covariance))
     alone = global_fit(bench.rotations, model, whitening, model.start)
@@ -100,10 +89,8 @@ def test_derivatives_are_those_of_differences():
         Suspect(kinds.MOVED, pose=4),
         Suspect(kinds.SLIPPED, 2, 5),
     )
-    model, equal = (
-        GimbalModel(bench.angles, np.linspace(0, 1, len(bench.angles)), (0, 1, 2), suspects),
-        np.eye(21),
-    )
+    times = np.linspace(0, 1, len(bench.angles))
+    model, equal = GimbalModel(bench.angles, times, (0, 1, 2), suspects), np.eye(21)
     rng = np.random.default_rng(0)
     values = model.start
     values[[3, 7, 11]] = (0.02, 0.01, -0.03)

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from calib.calibration import CalibrationOptions
+from calib import CalibrationOptions, calibrate
 from calib.diagnosis.gross_stars import find_gross_stars, outside_image, without_gross_stars
-from calib.engine import calibrate
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, GimbalReadings
 from tests.unit.calib.conftest import Bench
@@ -62,9 +61,8 @@ def test_views_without_gross_errors_are_the_same_objects():
     views = Bench().views(np.random.default_rng(2), 0.05)
     gross_of_views = find_gross_stars(views)
     assert [gross.sentence for gross in gross_of_views] == ["", "", ""]
-    assert all(
-        kept is view for kept, view in zip(without_gross_stars(views, gross_of_views), views, strict=True)
-    )
+    kept = zip(without_gross_stars(views, gross_of_views), views, strict=True)
+    assert all(same is view for same, view in kept)
 
 
 def test_a_view_of_mostly_wrong_stars_is_refused_by_name():
@@ -105,9 +103,8 @@ def test_views_that_show_no_plane_are_left_out_and_named():
     first = views[0]
     few = replace(first.part(np.arange(len(first)) < 3), name="few")
     line = replace(first.part(first.target_mm[:, 0] == first.target_mm[60, 0]), name="line")
-    angles = [
-        dict(zip(AXES, (*pose, 0.0)[:3], strict=True)) for pose in ((9.0, 9.0), *Bench().poses, (9.0, 9.0))
-    ]
+    turned = ((9.0, 9.0), *Bench().poses, (9.0, 9.0))
+    angles = [dict(zip(AXES, (*pose, 0.0)[:3], strict=True)) for pose in turned]
     readings = GimbalReadings(tuple(angles), 0.01, 1e-3)
     result = calibrate([few, *views, line], CalibrationOptions(gimbal=readings))
     expected = calibrate(views, CalibrationOptions(gimbal=readings.part((1, 2, 3))))

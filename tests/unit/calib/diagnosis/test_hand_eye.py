@@ -1,7 +1,5 @@
 """Hand-eye check: readings against the rotations seen; what explains them is named with what stands beside it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -194,12 +192,13 @@ def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
         assert all(0.9 < scale < 1.2 for scale in check.scale.values())
 
 
+def scattered(readings, sigma_deg, rng):
+    return [{axis: deg + sigma_deg * rng.normal() for axis, deg in reading.items()} for reading in readings]
+
+
 def test_scatter_below_what_is_stated_of_the_readings_is_no_fault_and_scatter_above_it_is_told():
     bench, rng = draw_gimbal(31, **NINE), np.random.default_rng(31)
-    readings = [
-        {axis: deg + 0.005 * rng.standard_normal() for axis, deg in reading.items()}
-        for reading in bench.readings
-    ]
+    readings = scattered(bench.readings, 0.005, rng)
 
     def check_with(**stated):
         return check_hand_eye(bench.rotations, bench.covariance, readings, **stated)
@@ -216,10 +215,7 @@ def test_an_error_of_the_encoder_that_a_row_of_a_raster_shares_is_no_slip():
 
     def check_with(shared_deg):
         rng = np.random.default_rng(5)
-        readings = [
-            {axis: deg + READ * rng.standard_normal() for axis, deg in reading.items()}
-            for reading in bench.readings
-        ]
+        readings = scattered(bench.readings, READ, rng)
         for reading, true in zip(readings, bench.readings, strict=True):
             reading["tilt_deg"] += shared_deg * (true["tilt_deg"] > last - 0.01)
         return check_hand_eye(bench.rotations, bench.covariance, readings, reading_sigma_deg=READ)

@@ -1,7 +1,5 @@
 """Event images: their values, their window, the choice between them, and input that is refused."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

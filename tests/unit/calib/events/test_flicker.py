@@ -1,7 +1,5 @@
 """Flicker from triggers and from events: what is recovered, what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -92,12 +90,7 @@ def test_one_edge_is_enough_where_the_frequency_is_known():
 
 @pytest.mark.parametrize(
     ("t", "value"),
-    [
-        ([], []),
-        ([100], [1]),
-        ([100, 8000], [1, 0]),
-        ([0, 900, 7000, 7100, 11_300, 30_000], [1, 1, 1, 1, 1, 1]),
-    ],
+    [([], []), ([100], [1]), ([100, 8000], [1, 0]), ([0, 900, 7000, 7100, 11_300, 30_000], [1] * 6)],
 )
 def test_edges_without_a_period_are_refused(t, value):
     with pytest.raises(FlickerNotFound, match="trigger edges"):

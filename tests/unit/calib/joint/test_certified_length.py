@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from slow_cases import first_quick
 
-from calib.calibration import CalibrationOptions
-from calib.engine import calibrate
+from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
 from calib.joint.adjust import adjust
 from calib.joint.knowledge import CERTIFICATE, FOCAL
 from calib.joint.modes import modes_of
 from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
-from calib.model.passport import Passport
 from calib.model.target_focus import TargetFocus
 from tests.support.drawn_benches import THREE, draw_bench
 from tests.unit.calib.conftest import Bench
@@ -29,10 +27,8 @@ FOCAL_MM = 255.0 - DEFOCUS * TO_FOCUS_MM
 def solved(certified_mm, length=""):
     views = BENCH.views(np.random.default_rng(71), 0.02)
     rng = np.random.default_rng(72)
-    angles = tuple(
-        {"pan_deg": pan + 0.002 * rng.normal(), "tilt_deg": tilt + 0.002 * rng.normal()}
-        for pan, tilt in POSES
-    )
+    read_deg = np.array(POSES) + 0.002 * rng.normal(size=(len(POSES), 2))
+    angles = tuple({"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in read_deg.tolist())
     bound = ParallaxBound(DEFOCUS, 0.01, 0.0, 0.5)
     options = CalibrationOptions(
         passport=Passport.of_radius(certified_mm, 0.05, length=length),

@@ -35,9 +35,8 @@ class Drawn:
     def expanded(self):
         """U of fx, fy, cx, cy."""
         result = self.result
-        return np.array(
-            [result.sigma[name] * result.coverage_factors[name] for name in ("fx", "fy", "cx", "cy")]
-        )
+        names = ("fx", "fy", "cx", "cy")
+        return np.array([result.sigma[name] * result.coverage_factors[name] for name in names])
 
     @property
     def true_camera(self):
@@ -86,10 +85,9 @@ def test_errors_of_the_camera_lie_within_u_and_fill_it(benches):
 @pytest.mark.slow
 def test_the_covariance_holds_for_all_parameters_of_the_camera_together(benches):
     """The errors of fx, fy, cx, cy in the metric of their covariance: a chi-square with four degrees of freedom."""
-    squares = [
-        float(bench.errors @ np.linalg.solve(bench.result.camera_covariance[:4, :4], bench.errors))
-        for bench in benches
-    ]
+    covariances = [bench.result.camera_covariance[:4, :4] for bench in benches]
+    errors = [bench.errors for bench in benches]
+    squares = [e @ np.linalg.solve(c, e) for e, c in zip(errors, covariances, strict=True)]
     assert 1.2 < np.mean(squares) < 6.5
 
 
@@ -119,9 +117,8 @@ def boresight_errors(bench):
     turn = log_map((boresight.rotation @ bench.camera_from_head.T)[None])[0]
     width, height = bench.true_camera.image_size
     ray = bench.true_camera.rays(np.array([[(width - 1) / 2, (height - 1) / 2]]))[0]
-    return np.degrees(turn), np.degrees(
-        boresight.rotation @ (boresight.sight - bench.camera_from_head.T @ ray)
-    )[:2]
+    sight = boresight.rotation @ (boresight.sight - bench.camera_from_head.T @ ray)
+    return np.degrees(turn), np.degrees(sight)[:2]
 
 
 @pytest.mark.slow
@@ -129,9 +126,8 @@ def test_the_boresight_lies_within_u_of_how_the_camera_is_mounted(benches):
     boresights = [bench.result.boresight for bench in benches]
     errors = [boresight_errors(bench) for bench in benches]
     turns = np.array([turn / own.expanded_deg for (turn, _), own in zip(errors, boresights, strict=True)])
-    sights = np.array(
-        [ray / own.sight_expanded_deg for (_, ray), own in zip(errors, boresights, strict=True)]
-    )
+    both = zip(errors, boresights, strict=True)
+    sights = np.array([ray / own.sight_expanded_deg for (_, ray), own in both])
     for over in (turns, sights):
         assert (np.abs(over) < 1.6).all()
         assert np.mean(np.abs(over) < 1.0) > 0.85

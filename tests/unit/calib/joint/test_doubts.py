@@ -44,9 +44,8 @@ def test_the_small_matrices_give_the_likelihood_and_the_camera_of_the_whole_solu
             assert there.value(doubts) == pytest.approx(whole.value, abs=1e-4)
             values, sigmas = there.camera(doubts)
             assert sigmas == pytest.approx(np.sqrt(np.diag(whole.covariance)[camera]), rel=1e-4)
-            assert np.abs(values - (optimum.state.shared + whole.step)[camera]) == pytest.approx(
-                0.0, abs=1e-3
-            )
+            found = (optimum.state.shared + whole.step)[camera]
+            assert values == pytest.approx(found, rel=0.0, abs=1e-3)
 
 
 def test_wider_errors_are_less_probable_and_as_if_nobody_had_stated_it_is_the_end(optimum):

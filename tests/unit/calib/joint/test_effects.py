@@ -21,9 +21,8 @@ POSES = Turned(TURNS, np.tile(np.eye(2), (3, 1, 1)), TURNS)
 
 def layout(pupil):
     bench = Circumstances(pupil, 1.0, 0.2, 0.2, len(TURNS), False, {}, gimbal=("scale_pan", "encoder_pan_0"))
-    return Layout(
-        PoseBasis(CAMERA, FieldBasis((0.0, 0.0, 250.0), 40.0), 0 if pupil is Pupil.HELD else NUMBER), bench
-    )
+    poses = PoseBasis(CAMERA, FieldBasis((0.0, 0.0, 250.0), 40.0), 0 if pupil is Pupil.HELD else NUMBER)
+    return Layout(poses, bench)
 
 
 @pytest.mark.parametrize("pupil", Pupil)

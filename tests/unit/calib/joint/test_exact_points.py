@@ -4,11 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow_cases import slow
 
-from calib.calibration import CalibrationOptions
-from calib.engine import calibrate
-from calib.model.passport import Passport
-from calib.view import View
+from calib import CalibrationOptions, Passport, View, calibrate
 
 POINTS = Path(__file__).parents[3] / "data/exact_points.npz"
 
@@ -30,9 +28,7 @@ def views_with(noise_px: float) -> list[View]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "noise_px", [0.0, *(pytest.param(px, marks=pytest.mark.slow) for px in (1e-5, 1e-3))]
-)
+@pytest.mark.parametrize("noise_px", [0.0, *(slow(px) for px in (1e-5, 1e-3))])
 def test_what_a_certificate_states_is_believed_however_exact_the_points_are(noise_px):
     certificate = Passport.of_radius(254.8747, 0.05, length="seen")
     result = calibrate(views_with(noise_px), CalibrationOptions(distortion="k1k2", passport=certificate))

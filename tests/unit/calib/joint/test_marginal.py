@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from slow_cases import first_quick
+from slow_cases import first_quick, slow
 
 from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
@@ -81,10 +81,8 @@ def test_gradient_of_the_likelihood_is_that_of_finite_differences(optimum):
 def test_gradient_with_a_fault_is_that_of_finite_differences(optimum):
     faults = ((CERTIFICATE, WRONG),)
     gradient = optimum.marginal.solve(optimum.eta, faults).gradient
-    ahead, behind = (
-        optimum.marginal.solve(optimum.eta + s * np.eye(len(gradient))[1], faults).value
-        for s in (1e-4, -1e-4)
-    )
+    moved = 1e-4 * np.eye(len(gradient))[1]
+    ahead, behind = (optimum.marginal.solve(optimum.eta + s * moved, faults).value for s in (1, -1))
     assert gradient[1] == pytest.approx((ahead - behind) / 2e-4, rel=1e-4, abs=1e-3)
 
 
@@ -123,18 +121,16 @@ def test_at_the_state_of_a_fault_nothing_is_said_of_a_state_far_away(views):
     "name", first_quick([CERTIFICATE, "square pixels", "scale of pan", "pupil and defocus"], 2)
 )
 def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(optimum, name):
-    innovation = next(
-        candidate for candidate in posterior(modes_of(optimum), 30).innovations() if candidate.name == name
-    )
+    innovations = posterior(modes_of(optimum), 30).innovations()
+    innovation = next(candidate for candidate in innovations if candidate.name == name)
     marginal = optimum.marginal
     kept = tuple(
         replace(s, covariance=s.free) if s.name == name and s.free is not None else s
         for s in marginal.problem.knowledge.statements
     )
     knowledge = replace(marginal.problem.knowledge, statements=kept)
-    without = type(marginal)(
-        replace(marginal.problem, knowledge=knowledge), marginal.equations, marginal.state
-    )
+    problem = replace(marginal.problem, knowledge=knowledge)
+    without = type(marginal)(problem, marginal.equations, marginal.state)
     solution = best_amplitudes(without.solve(optimum.eta), 20)
     expected = innovation.statement.rows @ (optimum.state.shared + solution.step)
     sigma = np.sqrt(innovation.statement.rows @ solution.covariance @ innovation.statement.rows.T)
@@ -142,27 +138,23 @@ def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(op
     # Only a certificate has amplitudes of its own: others are compared at those of all statements.
     near = 0.02 if name == CERTIFICATE else 0.05
     assert innovation.sigma[0] == pytest.approx(sigma[0, 0], rel=near)
-    normalised = (innovation.statement.values - expected) / np.sqrt(
-        sigma[0, 0] ** 2 + innovation.statement.covariance[0, 0]
-    )
+    variance = sigma[0, 0] ** 2 + innovation.statement.covariance[0, 0]
+    normalised = (innovation.statement.values - expected) / np.sqrt(variance)
     assert innovation.normalised == pytest.approx(normalised[0], rel=0.02, abs=0.02)
 
 
 def lit(bench, discs_mm):
     """Return the views of nine poses. Each sees only the stars of its disc; the discs have (9, 2) middles."""
     views = bench.views(np.random.default_rng(5), 0.02, NINE)
-    return [
-        view.part(np.hypot(*(view.target_mm - disc).T) < 25.0)
-        for view, disc in zip(views, discs_mm, strict=True)
-    ]
+    discs = zip(views, discs_mm, strict=True)
+    return [view.part(np.hypot(*(view.target_mm - disc).T) < 25.0) for view, disc in discs]
 
 
 @pytest.mark.parametrize(("mm", "wanders"), [(0.0, False), (15.0, True)])
 def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(bench, mm, wanders):
     steps_mm = mm * np.random.default_rng(2).choice([-1.0, 1.0], (9, 2))
-    pupils = adjust(
-        lit(bench, bench.centre[:2] + steps_mm), CalibrationOptions("joint")
-    ).marginal.problem.pupils
+    views = lit(bench, bench.centre[:2] + steps_mm)
+    pupils = adjust(views, CalibrationOptions("joint")).marginal.problem.pupils
     assert (pupils is not None) == wanders
     if wanders:
         assert pupils.shown == pytest.approx(12.0 * (steps_mm - steps_mm.mean(axis=0)) / 255.0, abs=0.15)
@@ -179,9 +171,7 @@ def test_the_expected_parallax_is_that_of_the_way_that_the_discs_show(bench, off
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "gimbal", [None, pytest.param(replace(READINGS, angles_deg=ANGLES[:3]), marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("gimbal", [None, slow(replace(READINGS, angles_deg=ANGLES[:3]))])
 def test_stars_near_the_rim_count_as_much_as_they_scatter_and_those_at_it_hardly(bench, gimbal):
     rng = np.random.default_rng(8)
     clean, bent, rims = [], [], []
@@ -192,9 +182,8 @@ def test_stars_near_the_rim_count_as_much_as_they_scatter_and_those_at_it_hardly
         clean.append(seen)
         bent.append(replace(seen, points_px=seen.points_px + noise))
         rims.append(rho[rho < 1.0])
-    as_found = [
-        calibrate(views, CalibrationOptions("joint", gimbal=gimbal)).weights for views in (clean, bent)
-    ]
+    options = CalibrationOptions("joint", gimbal=gimbal)
+    as_found = [calibrate(views, options).weights for views in (clean, bent)]
     rho = np.concatenate(rims)
     flat, falling = (np.concatenate(list(weights)) for weights in as_found)
     near, at_rim = (rho > 0.75) & (rho < 0.82), rho > 0.95
@@ -210,9 +199,8 @@ def test_errors_at_the_rim_that_come_again_in_each_pose_do_not_move_the_camera(b
     rng = np.random.default_rng(11)
     views = []
     for view in bench.views(rng, 0.02, angles):
-        from_middle_mm = view.target_mm - np.mean(
-            [view.target_mm.max(axis=0), view.target_mm.min(axis=0)], axis=0
-        )
+        ends_mm = [view.target_mm.max(axis=0), view.target_mm.min(axis=0)]
+        from_middle_mm = view.target_mm - np.mean(ends_mm, axis=0)
         rho = np.hypot(*from_middle_mm.T) / 25.0
         outwards = 0.5 * rho**14 * (1.0 + from_middle_mm[:, 0] / 40.0)
         bent = view.points_px + outwards[:, None] * [1.0, -0.8]
@@ -287,9 +275,9 @@ def test_parts_of_the_budget_add_up_to_the_variance(optimum):
 
 def test_two_optima_are_compared_with_the_same_weights_of_the_stars(views, optimum):
     """A lens of the wrong family gives up the stars that it does not fit; its own value does not count these."""
-    spoiled = [
-        replace(view, points_px=view.points_px + 5.0 * (view.ids % 20 == 0)[:, None]) for view in views
-    ]
+    moved_px = [5.0 * (view.ids % 20 == 0)[:, None] for view in views]
+    pairs = zip(views, moved_px, strict=True)
+    spoiled = [replace(view, points_px=view.points_px + by_px) for view, by_px in pairs]
     other = adjust(spoiled, KNOWN)
     assert weighed_as(optimum, optimum).solve(optimum.eta).value == pytest.approx(
         optimum.solution.value, rel=1e-6
@@ -302,9 +290,7 @@ def test_statements_that_agree_are_not_doubted(result):
     assert not [note for note in result.notes if "statement" in note]
 
 
-@pytest.mark.parametrize(
-    "times", [1.01, *(pytest.param(times, marks=pytest.mark.slow) for times in (0.92, 1.08))]
-)
+@pytest.mark.parametrize("times", [1.01, *(slow(times) for times in (0.92, 1.08))])
 def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right(views, bench, times):
     result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05, length="seen")))
     certificate = next(witness for witness in result.witnesses if witness.name == CERTIFICATE)
@@ -323,9 +309,7 @@ def test_the_certificate_of_another_collimator_is_refused(views, times, known):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "certified_mm", [275.0, *(pytest.param(mm, marks=pytest.mark.slow) for mm in (224.4, 245.0))]
-)
+@pytest.mark.parametrize("certified_mm", [275.0, *(slow(mm) for mm in (224.4, 245.0))])
 def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothing(certified_mm):
     """An eighth too short: fx was wrong by as much, with U of 5 px and no note. 8 % too long: U was 249 px.
 
@@ -333,9 +317,8 @@ def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothin
     camera of the certificate with its whole distance: 35 px instead of 20.
     """
     bench = drawn_benches.draw_bench("like-bench", drawn_benches.NINE, 2)
-    result = calibrate(
-        bench.views, CalibrationOptions(passport=Passport.of_radius(certified_mm, 0.05, length="seen"))
-    )
+    certificate = Passport.of_radius(certified_mm, 0.05, length="seen")
+    result = calibrate(bench.views, CalibrationOptions(passport=certificate))
     certificate = next(witness for witness in result.witnesses if witness.name == CERTIFICATE)
     assert certificate.fault_probability > 0.9
     assert any("certified one" in note for note in result.notes)
@@ -346,11 +329,8 @@ def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothin
 
 
 def test_result_has_amplitudes_witnesses_and_factors(result):
-    assert {amplitude.name for amplitude in result.amplitudes} >= {
-        "star noise",
-        "readings",
-        "pose field, degree 2",
-    }
+    names = {amplitude.name for amplitude in result.amplitudes}
+    assert names >= {"star noise", "readings", "pose field, degree 2"}
     assert set(result.coverage_factors) == {*result.parameter_names, "worst_corner"}
     assert result.coverage_factor == result.coverage_factors["fx"]
     shares = [row.share["fx"] for row in result.budget_rows]
@@ -408,10 +388,8 @@ def test_scale_of_the_print_is_expected_of_nobody_without_a_certificate(bench):
 
 def test_a_gain_that_equations_promise_beyond_where_they_hold_does_not_count(optimum):
     solution = optimum.solution
-    near, far = (
-        replace(solution, value=solution.value - 200.0, step=share * optimum.state.shared)
-        for share in (1e-3, 0.3)
-    )
+    steps = (share * optimum.state.shared for share in (1e-3, 0.3))
+    near, far = (replace(solution, value=solution.value - 200.0, step=step) for step in steps)
     assert log_odds(near, solution) == pytest.approx(100.0, rel=1e-3)
     assert log_odds(far, solution) < -5.0
 

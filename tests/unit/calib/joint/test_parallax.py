@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from slow_cases import slow
 
-from calib.calibration import CalibrationOptions
-from calib.engine import calibrate
+from calib import CalibrationOptions, calibrate
 from tests.benchmarks.worlds.catalogue import result as drawn_result
 from tests.unit.calib.conftest import Bench
 
@@ -36,7 +36,7 @@ def largest_error_over_u(bench, result):
 
 @pytest.mark.parametrize(
     ("off_mm", "defocus"),
-    [(30.0, 0.06), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((-30.0, 0.06), (15.0, -0.1)))],
+    [(30.0, 0.06), *(slow(*case) for case in ((-30.0, 0.06), (15.0, -0.1)))],
 )
 def test_a_well_corrected_collimator_may_be_out_of_focus(off_mm, defocus):
     """Nothing is stated. Field curvature explains the views too, less probably: fx was 16 px wrong at U 12 px."""
@@ -49,9 +49,9 @@ def test_a_well_corrected_collimator_may_be_out_of_focus(off_mm, defocus):
     ("focal_px", "beside_mm"),
     [
         (3345.0, (6.0, -5.0)),
-        pytest.param(1200.0, (-3.0, 7.0), marks=pytest.mark.slow),
-        pytest.param(3345.0, (-3.0, 7.0), marks=pytest.mark.slow),
-        pytest.param(1200.0, (6.0, -5.0), marks=pytest.mark.slow),
+        slow(1200.0, (-3.0, 7.0)),
+        slow(3345.0, (-3.0, 7.0)),
+        slow(1200.0, (6.0, -5.0)),
     ],
 )
 def test_a_pupil_beside_the_roll_axis_does_not_pass_for_another_principal_point(focal_px, beside_mm):
@@ -78,7 +78,7 @@ class CurvedField(Bench):
         )
 
 
-@pytest.mark.parametrize("seed", [6, pytest.param(7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [6, slow(7)])
 def test_field_curvature_beside_a_roll_axis_does_not_pass_for_another_principal_point(seed):
     """It turns with the camera. Without a term of its own, cx was 8 U wrong, or p1 and p2."""
     bench = CurvedField()
@@ -96,10 +96,7 @@ def test_a_search_keeps_what_shifted_the_image_where_it_starts():
 
 @pytest.mark.parametrize(
     ("poses", "seed", "known"),
-    [
-        (3, 423, "r"),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((3, 420, "cr"), (9, 425, "cr"))),
-    ],
+    [(3, 423, "r"), slow(3, 420, "cr"), slow(9, 425, "cr")],
 )
 def test_the_coma_of_a_pupil_that_is_stated_far_off_the_pivot_is_no_distortion(poses, seed, known):
     """It grows with the square of how far the pupil moves. Expected as small as near the pivot: 2.3 to 6.6 U wrong."""
@@ -109,7 +106,7 @@ def test_the_coma_of_a_pupil_that_is_stated_far_off_the_pivot_is_no_distortion(p
     assert line["U"]["fx"] < 15.0
 
 
-@pytest.mark.parametrize("seed", [423, pytest.param(428, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [423, slow(428)])
 def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen(seed):
     """The pupil is far before the pivot. Views alone cannot show that, and fx is several U wrong."""
     unstated, stated = (drawn_result("raytraced-far", 3, seed, known)["notes"] for known in ("0", "r"))

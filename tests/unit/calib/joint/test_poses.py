@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib import CameraModel, Collimator
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.joint.poses import seen_poses
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import views_of

@@ -32,9 +32,8 @@ def test_discs_that_are_well_seen_decide(way, least, most):
 def test_discs_that_show_little_leave_what_is_expected():
     expected = lever_of(None, RASTER, R_MM).middle
     assert expected == pytest.approx(0.03)
-    assert lever_of(discs(RASTER, (0.17, 0.17), 500.0), RASTER, R_MM).middle == pytest.approx(
-        expected, rel=0.1
-    )
+    lever = lever_of(discs(RASTER, (0.17, 0.17), 500.0), RASTER, R_MM)
+    assert lever.middle == pytest.approx(expected, rel=0.1)
 
 
 def test_the_better_discs_are_seen_the_better_the_way_is_known():
@@ -75,8 +74,7 @@ def test_errors_by_turn_are_expected_in_proportion_to_how_far_the_pupil_moves():
 
 
 def test_errors_by_turn_are_not_expected_smaller_than_those_near_the_pivot():
-    usual, still = (
-        amp.hyperprior(amp.Lever(way, 0.0), amp.Pupil.WALKS) for way in (amp.LEVER, 0.3 * amp.LEVER)
-    )
+    levers = (amp.Lever(way, 0.0) for way in (amp.LEVER, 0.3 * amp.LEVER))
+    usual, still = (amp.hyperprior(lever, amp.Pupil.WALKS) for lever in levers)
     changed = np.array(usual.names)[usual.mean != still.mean]
     assert changed.tolist() == [amp.PARALLAX]

@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from calib.engine import CalibrationOptions, calibrate
+from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
-from calib.model.passport import Passport
 
 EXACT = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), np.diag([1e-4, 1e-4, 1e-4]) ** 2)
 

@@ -1,7 +1,5 @@
 """Stars in images of the target: all complete ones, no wrong one, as accurate as their covariances say."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

@@ -1,7 +1,5 @@
 """The map from grid to image: exact for smooth maps, and not bent by wrong stars."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

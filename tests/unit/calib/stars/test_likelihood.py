@@ -1,10 +1,9 @@
 """Likelihood locates stars in black and white images better than symmetry does, in any direction of the edges."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
+from slow_cases import slow
 
 from calib.stars import likelihood as star_likelihood
 from calib.stars.centring import SYMMETRY_REACH, LocalMap, refine_by_symmetry, smooth, symmetry_samples
@@ -34,9 +33,8 @@ def stars(roll_deg, *, columns=11, rows=8, seed=0, fall_off=False):
         value = value * np.interp(np.arange(size[0]), [580, 720], [1.0, 0.2])
     rng = np.random.default_rng(seed)
     fired = (value > 0.05 * np.exp(0.12 * rng.standard_normal(value.shape))).astype(np.float32)
-    grid = np.stack(np.meshgrid(np.arange(columns) - columns // 2, np.arange(rows) - rows // 2)).reshape(
-        2, -1
-    )
+    places = np.arange(columns) - columns // 2, np.arange(rows) - rows // 2
+    grid = np.stack(np.meshgrid(*places)).reshape(2, -1)
     centres = (turn @ grid).T + middle
     inside = (centres > 40).all(axis=1) & (centres < np.array(size) - 41).all(axis=1)
     n = int(inside.sum())
@@ -47,7 +45,7 @@ def rms(points, centres):
     return float(np.sqrt(((points - centres) ** 2).mean()))
 
 
-@pytest.mark.parametrize("roll", [pytest.param(0.4, marks=pytest.mark.slow), 17.0])
+@pytest.mark.parametrize("roll", [slow(0.4), 17.0])
 def test_likelihood_beats_symmetry_in_black_and_white_images(roll):
     image, centres, shape = stars(roll)
     whole = np.full((len(centres), 2), SYMMETRY_REACH)
@@ -63,9 +61,8 @@ def test_edges_along_the_pixel_grid_have_less_weight(monkeypatch):
     image, centres, shape = stars(0.4)
     start = centres + 0.03 * np.random.default_rng(5).standard_normal(centres.shape)
     weighted = refine_by_likelihood(quantise(image), start, shape, TARGET)
-    monkeypatch.setattr(
-        star_likelihood, "overdispersion_of_edges", lambda score, fisher: np.ones(TARGET.segments)
-    )
+    none = np.ones(TARGET.segments)
+    monkeypatch.setattr(star_likelihood, "overdispersion_of_edges", lambda *_: none)
     alike = refine_by_likelihood(quantise(image), start, shape, TARGET)
     assert rms(weighted.centres, centres) < 0.92 * rms(alike.centres, centres)
 

@@ -1,16 +1,13 @@
 """The shift of stars between the halves of a recording: of drawn pictures, and where the halves do not show one."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import fourier_shift
 
+from calib import StarTarget, View
 from calib.errors import TooFewStars
 from calib.stars.motion import MAX_SHIFT_PITCHES, shift_between_halves
-from calib.target import StarTarget
-from calib.view import View
 
 TARGET, PITCH_PX = StarTarget(), 40.0
 
@@ -27,9 +24,8 @@ def moved(image, shift_px):
 
 
 def view(stars=40):
-    nodes = np.array(
-        [(c, r) for c in range(12) for r in range(8) if TARGET.id_at(np.array([c]), np.array([r])) >= 0]
-    )
+    columns, rows = np.indices((12, 8)).reshape(2, -1)
+    nodes = np.column_stack([columns, rows])[TARGET.id_at(columns, rows) >= 0]
     nodes = np.random.default_rng(3).permutation(nodes)[:stars]
     ids = TARGET.id_at(*nodes.T)
     order = np.argsort(ids)

@@ -1,16 +1,13 @@
 """Noise of star centres, and vignetting."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calib import StarTarget, View
 from calib.stars.centring import stencil_residuals, variance_factor
 from calib.stars.rim import VIGNETTED_SIGMA_PX, downweight_vignetted, vignetted_stars
-from calib.target import StarTarget
-from calib.view import View
 
 
 def grid(columns, rows):
@@ -48,9 +45,8 @@ def test_a_few_gross_stars_do_not_enlarge_the_factor():
     nodes = grid(25, 25)
     points = 50.0 * nodes + rng.standard_normal((len(nodes), 2))
     points[[100, 300, 500]] += 80.0
-    assert variance_factor(nodes, points, np.tile(UNIT, (625, 1, 1)), typical=1.0) == pytest.approx(
-        1.0, rel=0.2
-    )
+    covariances = np.tile(UNIT, (625, 1, 1))
+    assert variance_factor(nodes, points, covariances, typical=1.0) == pytest.approx(1.0, rel=0.2)
 
 
 def test_without_surrounded_stars_the_typical_factor_is_used():
@@ -76,10 +72,7 @@ def view(radius_mm, *, turn_deg=20.0, without=()):
     points = from_tag_mm @ rotation.T * (PITCH_PX / TARGET.pitch_mm) + [640.0, 360.0]
     framed = ((points > 25) & (points < np.array(SIZE) - 26)).all(axis=1)
     kept = framed & (np.hypot(*from_tag_mm.T) < radius_mm) & ~np.isin(TARGET.ids, without)
-    n = int(kept.sum())
-    return View(
-        "v", SIZE, TARGET.ids[kept], points[kept], positions[kept], np.tile(0.0004 * np.eye(2), (n, 1, 1))
-    )
+    return View("v", SIZE, TARGET.ids[kept], points[kept], positions[kept], 0.02)
 
 
 def distance_mm(seen):

@@ -1,7 +1,5 @@
 """Stars beside the tag and at the border of the pattern are where they are, whether the paper there is bright or dark."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -73,10 +71,8 @@ def test_the_same_in_a_grey_image(polarity):
 def test_open_are_the_stars_around_the_tag_and_at_the_border():
     target = StarTarget(squares_x=16, squares_y=14, tag_square=(6, 5), tag_squares=4)
     nodes = target.node_of(target.ids)
-    sides_of = {
-        tuple(node): tuple(sides)
-        for node, sides in zip(nodes.tolist(), open_sides(target, nodes), strict=True)
-    }
+    pairs = zip(nodes.tolist(), open_sides(target, nodes), strict=True)
+    sides_of = {tuple(node): tuple(sides) for node, sides in pairs}
     assert sides_of[0, 3] == sides_of[14, 8] == (True, False)
     assert sides_of[7, 0] == sides_of[7, 12] == (False, True)
     assert sides_of[0, 0] == (True, True)

@@ -1,7 +1,5 @@
 """Stars of a pose predicted from earlier poses and the gimbal: within the stated uncertainty, or refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -59,17 +57,15 @@ def test_two_poses_predict_along_the_direction_they_span_and_one_predicts_nothin
 
 
 def test_an_axis_that_has_not_moved_yet_predicts_nothing(bench):
+    seen = Gimbal(bench).labelled_views(THREE)
     with pytest.raises(DegenerateViews, match="do not tell"):
-        predict_grid(
-            Gimbal(bench).labelled_views(THREE), {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm
-        )
+        predict_grid(seen, {"tilt": -8, "roll": 90}, bench.size, TARGET.pitch_mm)
 
 
 def test_readings_of_the_wrong_sign_are_refused(bench):
-    seen = [
-        s._replace(reading_deg={**s.reading_deg, "pan": -s.reading_deg["pan"]})
-        for s in Gimbal(bench).labelled_views(THREE)
-    ]
+    labelled = Gimbal(bench).labelled_views(THREE)
+    turned = [s.reading_deg | {"pan": -s.reading_deg["pan"]} for s in labelled]
+    seen = [s._replace(reading_deg=of) for s, of in zip(labelled, turned, strict=True)]
     with pytest.raises(DegenerateViews, match="do not tell"):
         predict_grid(seen, {"pan": -11, "tilt": 3}, bench.size, TARGET.pitch_mm)
 

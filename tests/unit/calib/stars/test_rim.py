@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from calib import StarTarget, View
 from calib.stars.beam import find_beam
 from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.edge_pixels import gather_edge_pixels
 from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import blurred_edge_map, render_star
 from calib.stars.rim import find_rim
-from calib.target import StarTarget
-from calib.view import View
 from simulators.optics.picture import beam_of, disc_of, project, true_rotation
 from tests.support.live_slices import bench, fired, seen
 
@@ -32,18 +31,14 @@ def picture(centre_mm, radius_mm, look_mm, *, wave=0.0, fall_mm=0.0, noise=0.0, 
     level = np.zeros(shape)
     for du, dv in ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)):
         at = (np.stack([u + du, v + dv], axis=-1) - middle_px) @ rotation / px_per_mm + look_mm
-        level += (
-            0.25 * TARGET.reflectance(at[..., 0], at[..., 1]) * light(at, centre_mm, radius_mm, wave, fall_mm)
-        )
+        lit = light(at, centre_mm, radius_mm, wave, fall_mm)
+        level += 0.25 * TARGET.reflectance(at[..., 0], at[..., 1]) * lit
     image = level + noise * np.random.default_rng(3).standard_normal(shape)
     positions = TARGET.positions_mm(TARGET.ids)
     points = (positions - look_mm) @ rotation.T * px_per_mm + middle_px
     framed = ((points > 25) & (points < np.array(SIZE) - 26)).all(axis=1)
     seen = framed & (light(positions, centre_mm, 0.97 * radius_mm, wave, 0.0) > 0)
-    n = int(seen.sum())
-    return image, View(
-        "v", SIZE, TARGET.ids[seen], points[seen], positions[seen], np.tile(np.eye(2) * 1e-4, (n, 1, 1))
-    )
+    return image, View("v", SIZE, TARGET.ids[seen], points[seen], positions[seen], 0.01)
 
 
 def edge_of(from_centre_mm, radius_mm, wave):
@@ -53,9 +48,7 @@ def edge_of(from_centre_mm, radius_mm, wave):
 def light(at, centre_mm, radius_mm, wave, fall_mm):
     """Return 1 inside the disc and 0 outside, falling from 1 to 0 over ``fall_mm``."""
     from_centre_mm = at - centre_mm
-    inside = edge_of(from_centre_mm, radius_mm, wave) - np.hypot(
-        from_centre_mm[..., 0], from_centre_mm[..., 1]
-    )
+    inside = edge_of(from_centre_mm, radius_mm, wave) - np.linalg.norm(from_centre_mm, axis=-1)
     return np.clip(inside / fall_mm, 0, 1) if fall_mm else (inside > 0).astype(float)
 
 
@@ -70,9 +63,8 @@ def off_mm(rim, centre_mm, radius_mm, wave=0.0, fall_mm=0.0):
 )
 def test_the_points_lie_where_the_light_ends(wave, fall_mm, noise):
     centre = MIDDLE + np.array([1.0, -2.0])
-    image, view = picture(
-        centre, 50.0, MIDDLE + np.array([35.0, 15.0]), wave=wave, fall_mm=fall_mm, noise=noise
-    )
+    shown = {"wave": wave, "fall_mm": fall_mm, "noise": noise}
+    image, view = picture(centre, 50.0, MIDDLE + np.array([35.0, 15.0]), **shown)
     rim = find_rim(image, view, TARGET)
     off = off_mm(rim, centre, 50.0, wave, fall_mm)
     assert len(off) >= 8
@@ -104,9 +96,7 @@ def test_a_dark_spot_inside_the_beam_is_no_rim():
     image, view = picture(MIDDLE, 200.0, MIDDLE)
     image[200:320, 300:430] = 0.0
     spoilt = (view.points_px > [290, 190]).all(axis=1) & (view.points_px < [440, 330]).all(axis=1)
-    kept = View(
-        "v", SIZE, *(a[~spoilt] for a in (view.ids, view.points_px, view.target_mm, view.covariances_px2))
-    )
+    kept = view.part(~spoilt)
     assert len(find_rim(image, kept, TARGET).points_mm) == 0
 
 
@@ -161,14 +151,7 @@ def test_pixels_are_those_of_scipy(centre):
     ]
     used = (np.abs(tau) < EDGES.limit_px) & (np.abs(u) <= SYMMETRY_REACH) & (np.abs(v) <= SYMMETRY_REACH)
     expected = np.column_stack([u, v, tau, LEVELS.ravel(), *slopes])[used]
-    fields = (
-        edge_pixels.u,
-        edge_pixels.v,
-        edge_pixels.tau,
-        edge_pixels.level,
-        edge_pixels.along_x,
-        edge_pixels.along_y,
-    )
+    fields = [getattr(edge_pixels, name) for name in ("u", "v", "tau", "level", "along_x", "along_y")]
     pixels = np.column_stack(fields).astype(float)
     assert len(pixels) == len(expected) == edge_pixels.first[-1]
     a, b = (rows_of[np.lexsort(rows_of[:, :2].round(3).T)] for rows_of in (pixels, expected))
@@ -179,20 +162,17 @@ def test_pixels_are_those_of_scipy(centre):
 
 
 def test_pixels_are_sorted_by_edges():
-    edge_pixels = gather_edge_pixels(
-        LEVELS, np.array([[45.3, 40.6]]), LocalMap(LINEAR[None], QUADRATIC[None]), EDGES
-    )
+    local_map = LocalMap(LINEAR[None], QUADRATIC[None])
+    edge_pixels = gather_edge_pixels(LEVELS, np.array([[45.3, 40.6]]), local_map, EDGES)
     edge = np.repeat(np.arange(TARGET.segments), np.diff(edge_pixels.first))
-    nearest = (
-        np.round(np.arctan2(edge_pixels.v, edge_pixels.u) / (2.0 * np.pi) * TARGET.segments) % TARGET.segments
-    )
+    turns = np.arctan2(edge_pixels.v, edge_pixels.u) / (2.0 * np.pi)
+    nearest = np.round(turns * TARGET.segments) % TARGET.segments
     assert (edge == nearest).mean() > 0.97  # the edge map is sampled
 
 
 def test_without_stars_there_are_no_pixels():
-    edge_pixels = gather_edge_pixels(
-        LEVELS, np.zeros((0, 2)), LocalMap(np.zeros((0, 2, 2)), np.zeros((0, 2, 3))), EDGES
-    )
+    no_map = LocalMap(np.zeros((0, 2, 2)), np.zeros((0, 2, 3)))
+    edge_pixels = gather_edge_pixels(LEVELS, np.zeros((0, 2)), no_map, EDGES)
     assert len(edge_pixels.tau) == 0
 
 

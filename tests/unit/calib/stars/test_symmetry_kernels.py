@@ -61,9 +61,8 @@ def test_equations_are_those_of_scipy(centre, used_to):
     expected_square, expected_normal, expected_right = expected_equations(centre, used_to)
     assert square == pytest.approx(expected_square, rel=1e-4)
     size = np.sqrt(np.diag(expected_normal))
-    np.testing.assert_allclose(
-        normal / np.outer(size, size), expected_normal / np.outer(size, size), atol=2e-5
-    )
+    sizes = np.outer(size, size)
+    np.testing.assert_allclose(normal / sizes, expected_normal / sizes, atol=2e-5)
     scale = size * np.sqrt(expected_square * SAMPLES.shape[1])
     np.testing.assert_allclose(right / scale, expected_right / scale, atol=2e-5)
     np.testing.assert_array_equal(normal, normal.T)

@@ -17,10 +17,8 @@ def drawn(seed, intervals, offset_us, *, rate=RATE, missed=0.01, jitter_us=0.5):
     t = rng.uniform(0, 5000) + np.cumsum(intervals)
     middle = t.mean()
     both = t, t + offset_us + rate * (t - middle)
-    seen = [
-        np.floor(times + jitter_us * rng.standard_normal(len(t)))[rng.random(len(t)) > missed]
-        for times in both
-    ]
+    late = ((times + jitter_us * rng.standard_normal(len(t)), rng.random(len(t))) for times in both)
+    seen = [np.floor(times)[drawn > missed] for times, drawn in late]
     return seen[0][seed % 40 :], seen[1][: -(seed % 30) or None], lambda at: offset_us + rate * (at - middle)
 
 

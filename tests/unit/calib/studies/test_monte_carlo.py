@@ -6,9 +6,8 @@ import pytest
 from monte_carlo_runs import run_monte_carlo, z_of_all
 from paper_camera import NARROW, POSES
 
-from calib.engine import CalibrationOptions, calibrate
+from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import NotConverged
-from calib.model.passport import Passport
 
 EXACT = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
 L2 = CalibrationOptions("spherical", loss="l2")

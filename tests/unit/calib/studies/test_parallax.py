@@ -9,11 +9,10 @@ import yaml
 from drawn_rims import HALF_FRAME_MM, framed_rim
 
 import sequences
+from calib import Collimator, View
 from calib.errors import DegenerateViews, InputMismatch
-from calib.model.collimator import Collimator
 from calib.model.rotation import euler_zxy
 from calib.studies.parallax import PupilWalk, mean_of_axes, pupil_walk
-from calib.view import View
 
 R_MM = 255.0
 COLLIMATOR = Collimator(97.0, 140.0, R_MM)

@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.engine import CalibrationOptions, calibrate
+from calib import CalibrationOptions, CameraModel, Collimator, Passport, calibrate
 from calib.errors import DegenerateViews, InputMismatch, TooFewStars
-from calib.model.camera import CameraModel
-from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import AXES, GimbalReadings, ParallaxBound
-from calib.model.passport import Passport
 from calib.model.result_parts import PARALLAX, PASSPORT, POSE_FIELDS, STARS, TURN_FIELDS, UNBOUNDED_PARALLAX
 from calib.studies.planning import forecast, next_poses
 from calib.studies.predicted_views import CollimatorErrors, ExpectedBench
@@ -50,20 +47,20 @@ def test_the_sizes_of_errors_that_a_run_found_replace_the_expected_ones(bench):
     assert forecast(wrong, POSES).sigma["fx"] > 5 * known.sigma["fx"]
 
 
+def poses_of(pans, tilts):
+    return [{"pan_deg": pan, "tilt_deg": tilt} for pan in pans for tilt in tilts]
+
+
 def test_the_next_pose_lowers_the_worst_uncertainty_more_than_any_other():
-    candidates = [{"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, 2.0, 6.0) for tilt in (-2.5, 2.5)]
+    candidates = poses_of((-6.0, 2.0, 6.0), (-2.5, 2.5))
     (best,) = next_poses(BENCH, POSES[:2], candidates)
-    worst = {
-        i: forecast(BENCH, [*POSES[:2], pose]).projection_map.worst_px for i, pose in enumerate(candidates)
-    }
-    assert worst[candidates.index(best.angles_deg)] <= 1.02 * min(worst.values())
+    worst = [forecast(BENCH, [*POSES[:2], pose]).projection_map.worst_px for pose in candidates]
+    assert worst[candidates.index(best.angles_deg)] <= 1.02 * min(worst)
 
 
 @pytest.mark.slow
 def test_poses_chosen_at_once_are_as_good_as_those_chosen_one_by_one():
-    candidates = [
-        {"pan_deg": pan, "tilt_deg": tilt} for pan in np.linspace(-6, 6, 9) for tilt in np.linspace(-3, 3, 5)
-    ]
+    candidates = poses_of(np.linspace(-6, 6, 9), np.linspace(-3, 3, 5))
     at_once = next_poses(BENCH, POSES, candidates, 8)
     taken = list(POSES)
     for _ in at_once:
@@ -84,12 +81,10 @@ def test_poses_chosen_from_nothing_beat_random_ones():
     ]
     suggested = next_poses(BENCH, [], candidates, 3)
     chosen = forecast(BENCH, [pose.angles_deg for pose in suggested]).projection_map.worst_px
-    drawn = [
-        forecast(
-            BENCH, [candidates[i] for i in rng.choice(len(candidates), 3, replace=False)]
-        ).projection_map.worst_px
-        for _ in range(15)
-    ]
+    drawn = []
+    for _ in range(15):
+        chosen_at = rng.choice(len(candidates), 3, replace=False)
+        drawn.append(forecast(BENCH, [candidates[i] for i in chosen_at]).projection_map.worst_px)
     assert chosen <= np.quantile(drawn, 0.2)
 
 
@@ -123,7 +118,7 @@ def test_one_pose_twice_will_not_constrain():
 
 ERRORS = CollimatorErrors(rms_px=0.09)
 REAL = replace(BENCH, star_sigma_px=0.014, errors=ERRORS)
-NINE = [{"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, 0.0, 6.0) for tilt in (-2.5, 0.0, 2.5)]
+NINE = poses_of((-6.0, 0.0, 6.0), (-2.5, 0.0, 2.5))
 CERTIFICATE = Passport.of_radius(255.0, 0.05, length="seen")
 
 
@@ -157,25 +152,18 @@ def test_errors_of_the_collimator_dominate_and_more_poses_lower_them():
     assert sum(row.share["fx"] for row in nine.budget_rows) == pytest.approx(1.0)
 
 
+def of_pose_fields(bench, poses):
+    """What the fields of the poses add to cy."""
+    rows = forecast(bench, poses).budget_rows
+    return next(row.contribution["cy"] for row in rows if row.name == POSE_FIELDS)
+
+
 def test_errors_that_differ_from_pose_to_pose_average_out():
     hand_moved = replace(REAL, errors=CollimatorErrors(rms_px=0.09, pupil_wander_mm=8.0))
-    many = [
-        {"pan_deg": pan, "tilt_deg": tilt}
-        for pan in np.linspace(-5, 5, 6)
-        for tilt in np.linspace(-2.5, 2.5, 6)
-    ]
-    parts = [
-        next(
-            row.contribution["cy"]
-            for row in forecast(hand_moved, poses).budget_rows
-            if row.name == POSE_FIELDS
-        )
-        for poses in (NINE, many)
-    ]
+    many = poses_of(np.linspace(-5, 5, 6), np.linspace(-2.5, 2.5, 6))
+    parts = [of_pose_fields(hand_moved, poses) for poses in (NINE, many)]
     assert parts[1] < 0.8 * parts[0]
-    assert parts[0] > 3 * next(
-        row.contribution["cy"] for row in forecast(REAL, NINE).budget_rows if row.name == POSE_FIELDS
-    )
+    assert parts[0] > 3 * of_pose_fields(REAL, NINE)
 
 
 @pytest.mark.parametrize(

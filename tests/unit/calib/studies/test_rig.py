@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from drawn_rig import BOARD as CORNERS
 from drawn_rig import SIGMA, SIZES, Drawn
+from slow_cases import slow
 
 from calib.boards.board import Board
 from calib.engine import CalibrationOptions, calibrate
@@ -90,9 +91,7 @@ def test_cameras_that_share_no_pose_have_no_relative_rotation(bench):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("count", "least", "off_by"), [(12, 0.88, 3.0), pytest.param(40, 0.92, 1.5, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("count", "least", "off_by"), [(12, 0.88, 3.0), slow(40, 0.92, 1.5)])
 def test_drawn_rigs_lie_within_their_uncertainty_in_19_of_20_cases(count, least, off_by):
     inside, squares = [], []
     for seed in range(count):

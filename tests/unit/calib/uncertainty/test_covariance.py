@@ -7,10 +7,9 @@ import pytest
 from monte_carlo_runs import jackknife
 from slow_cases import first_quick
 
-from calib.engine import CalibrationOptions, calibrate
+from calib import CalibrationOptions, CameraModel, calibrate
 from calib.errors import DegenerateViews
 from calib.fit import fit_model
-from calib.model.camera import CameraModel
 from calib.uncertainty.covariance import leave_one_out, predicted_residuals, without_pose
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty, sensor_grid
 
@@ -50,9 +49,8 @@ def test_the_variance_factor_shows_star_covariances_that_are_too_small(bench):
 
 def test_more_parameters_than_measurements_are_refused(bench):
     def corners(view):
-        keep = np.unique(
-            [f(view.points_px @ sign) for f in (np.argmax, np.argmin) for sign in ([1, 1], [1, -1])]
-        )
+        ends = (np.argmax, np.argmin)
+        keep = np.unique([end(view.points_px @ sign) for end in ends for sign in ([1, 1], [1, -1])])
         return view.part(np.isin(np.arange(len(view)), keep))
 
     few = [corners(view) for view in bench.views()[:2]]
@@ -83,16 +81,11 @@ def test_pixels_become_arc_seconds_by_the_focal_length():
 
 
 def test_the_map_is_the_scatter_of_repeated_calibrations(bench):
-    runs = [
-        calibrate(
-            bench.views(np.random.default_rng([71, i]), 0.05), CalibrationOptions("spherical", loss="l2")
-        )
-        for i in range(16)
-    ]
+    options = CalibrationOptions("spherical", loss="l2")
+    runs = [calibrate(bench.views(np.random.default_rng([71, i]), 0.05), options) for i in range(16)]
     stated = projection_uncertainty(runs[0].camera, runs[0].camera_covariance, 9).sigma_px
-    truth = replace(runs[0].camera).with_values(
-        np.array([bench.truth[name] for name in runs[0].camera.parameter_names])
-    )
+    values = np.array([bench.truth[name] for name in runs[0].camera.parameter_names])
+    truth = runs[0].camera.with_values(values)
     off = np.array([camera_difference(truth, run.camera, 9).offset_px for run in runs])
     # Two components share the trace; the larger eigenvalue is between half and all of it.
     scatter = np.sqrt((off**2).sum(axis=3).mean(axis=0))
@@ -134,12 +127,9 @@ def test_what_is_left_out_has_no_part_in_the_estimate(bench):
     left = without_pose(whole.bundle, [0], whole.parameters, whole.loss)
     without = fit_model(views[1:], L2, "spherical")
     sigma = np.sqrt(np.diag(without.uncertainty.covariance))
-    assert (
-        np.abs(
-            (left.values(whole.bundle.names) - without.parameters.values(whole.bundle.names)) / sigma
-        ).max()
-        < 0.02
-    )
+    names = whole.bundle.names
+    off = left.values(names) - without.parameters.values(names)
+    assert np.abs(off / sigma).max() < 0.02
 
 
 @pytest.mark.parametrize("model", ["spherical", "planar"])

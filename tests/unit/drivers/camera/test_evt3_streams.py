@@ -140,9 +140,8 @@ def test_long_stretches_of_a_sparse_stream_decode_as_their_words_one_by_one(seed
 @pytest.mark.parametrize("wrong", [word.row(HEIGHT), word.event(WIDTH), word.low(1), 0x9000])
 @pytest.mark.parametrize("place", [3, 40, 100, 163])
 def test_a_malformed_word_is_found_where_it_stands_in_a_stretch(wrong, place):
-    words = np.array(
-        [word.high(1), word.low(500), word.row(5), *[word.event(k) for k in range(160)]], np.uint16
-    )
+    words = [word.high(1), word.low(500), word.row(5), *[word.event(k) for k in range(160)]]
+    words = np.array(words, np.uint16)
     with pytest.raises(RecordingCorrupt) as caught:
         word.decode(*np.insert(words, place, wrong))
     assert caught.value.offset == 2 * place

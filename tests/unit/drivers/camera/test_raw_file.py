@@ -127,9 +127,7 @@ HD, VGA = (1280, 720), (640, 480)
     ],
 )
 @pytest.mark.parametrize("evt", ["", "% evt 2.0\n", "% evt 3.0\n"])
-def test_the_number_of_the_system_tells_sensor_and_encoding_that_the_header_leaves_out(
-    system, encoding, size, evt
-):
+def test_the_number_of_the_system_tells_what_the_header_leaves_out(system, encoding, size, evt):
     start = f"% Date 2020-09-25 07:48:29\n{evt}% integrator_name Prophesee\n% system_ID {system}\n".encode()
     header = parse_header(start, where="x", evt3_only=False)
     stated = {"": encoding, "% evt 2.0\n": "EVT2", "% evt 3.0\n": "EVT3"}[evt]
@@ -200,10 +198,7 @@ def zip_start(*names):
         (b"MATLAB 5.0 MAT-file, Platform", "a text file.*faery"),
         (b"% evt 4.0\n% format EVT4;height=720;width=1280\n", "The file holds EVT4"),
         # OpenEB, i_events_stream.cpp: the header of an index is that of its recording, and more
-        (
-            b"% format EVT3;height=720;width=1280\n% bookmark_period_us 2000\n% index_version 2.0\n% end\n",
-            "index .* beside",
-        ),
+        (b"% format EVT3;height=720;width=1280\n% index_version 2.0\n% end\n", "index .* beside"),
         (b"% index version 2.0\n% magic_number 12345\n% ts_shift_us 0\n% end\n", "index .* beside"),
         (b"\x01\x80\x02\x60", "binary data without a RAW header.* with their headers"),
         (b"% format EVT21;height=720;width=1280\n% end\n", "The file holds EVT21"),

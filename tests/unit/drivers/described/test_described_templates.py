@@ -1,7 +1,5 @@
 """Templates of described devices: read in one way only, bounded, and refused with what to write instead."""
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 

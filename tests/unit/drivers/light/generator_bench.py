@@ -1,7 +1,5 @@
 """A simulated generator of each make on a line, and the driver for it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The Gardasoft light on its simulated controller: what it sends, and that no setting is taken for made that was not."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice

@@ -1,7 +1,5 @@
 """A simulated GRBL board of two axes on a line, and the driver for it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from drivers.stage import AxisLimits
@@ -36,15 +34,7 @@ class Bench(HomedStage):
         self.board.name = "gimbal-7"
         self.board.firmware = FIRMWARES[firmware]
         if firmware == "fluidnc":  # whose configuration file allows what the station wants
-            self.board.settings |= {
-                20: 0.0,
-                110: 600.0,
-                111: 600.0,
-                120: 50.0,
-                121: 50.0,
-                130: 35.0,
-                131: 35.0,
-            }
+            self.board.settings |= {20: 0, 110: 600, 111: 600, 120: 50, 121: 50, 130: 35, 131: 35}
         self.line = direct_line(self.board, self.clock)
 
     def open(self, letters: str | None = None, **more) -> GrblStage:

@@ -1,7 +1,5 @@
 """The ESP stage on its simulated controller: what it sends, what it refuses, and what it says of a fault."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -191,9 +189,7 @@ def test_an_error_of_the_second_axis_is_not_lost_by_asking_about_the_first(bench
     def late_error(command: bytes) -> None:
         arrived = bench.motions() and not bench.tilt.axis.busy(bench.clock.now_s)
         if command == b"1MO?\r" and arrived:
-            bench.answer(
-                "TB?", "203, STAMP, FOLLOWING ERROR THRESHOLD EXCEEDED", "0, STAMP, NO ERROR DETECTED"
-            )
+            bench.answer("TB?", "203, STAMP, FOLLOWING ERROR", "0, STAMP, NO ERROR DETECTED")
             bench.line.before = lambda _command: None
 
     bench.line.before = late_error

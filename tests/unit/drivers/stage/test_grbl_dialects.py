@@ -1,7 +1,5 @@
 """What Grbl's descendants say on the line, as people have published it."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -31,9 +29,8 @@ def runs(bench: Bench) -> None:
     assert stage.faults() == []
     bench.clock.sleep(1.0)  # until the load has settled
     for letter, angle_deg in zip("XY", TARGET.values(), strict=True):
-        assert bench.board.axes[letter].pointing.angle_deg(bench.clock.now_s) == pytest.approx(
-            angle_deg, abs=1e-3
-        )
+        axis = bench.board.axes[letter]
+        assert axis.pointing.angle_deg(bench.clock.now_s) == pytest.approx(angle_deg, abs=1e-3)
 
 
 def reports_by_itself(bench: Bench, every_s: float) -> None:
@@ -158,14 +155,10 @@ def test_a_board_that_searches_its_switches_slowly_is_waited_for(bench) -> None:
 
 
 @pytest.mark.parametrize(("name", "value"), [("$3", 2.0), ("$22", 9.0), ("$27", 2.0), ("$150", 16.0)])
-def test_a_setting_that_changes_every_angle_is_refused_unless_it_is_the_stated_one(
-    bench, name, value
-) -> None:
+def test_a_setting_that_changes_every_angle_is_refused_unless_it_is_the_stated_one(bench, name, value):
     """grblHAL issue 289 tells people to set ``$22=9``: then homing sets another position; ``$15x`` are microsteps."""
     bench.board.settings[int(name[1:])] = value
-    with pytest.raises(
-        OutsideLimits, match=rf"has \{name} 1, the controller has {value:g}\. Nothing was set"
-    ):
+    with pytest.raises(OutsideLimits, match=rf"has \{name} 1, .* {value:g}\. Nothing was set"):
         bench.open(settings={name: 1.0})
     assert not bench.wrote_settings()
     bench.open(settings={name: value})

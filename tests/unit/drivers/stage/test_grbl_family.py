@@ -1,7 +1,5 @@
 """Boards of the GRBL family as people meet them: greetings, alarms, limits and modes that another program left."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.errors import DeviceRefused, DriverError, MoveFailed, NotHomed

@@ -3,8 +3,6 @@
 ``tests/hil/test_every_fault.py`` shows what each family does with faults of axis and line.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.errors import (

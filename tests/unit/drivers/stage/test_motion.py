@@ -39,9 +39,8 @@ def test_travel_time_is_that_of_the_speed_profile_integrated(distance, speed, ac
 
 
 def test_the_slowest_axis_decides_the_time_of_a_move() -> None:
-    assert longest_move_s(LIMITS, {"pan": 0.0, "tilt": 0.0}, {"pan": 10.0, "tilt": 5.0}) == pytest.approx(
-        5.05
-    )
+    slowest_s = longest_move_s(LIMITS, {"pan": 0.0, "tilt": 0.0}, {"pan": 10.0, "tilt": 5.0})
+    assert slowest_s == pytest.approx(5.05)
     assert longest_move_s(LIMITS, {"pan": 0.0}, {}) == 0.0
 
 
@@ -79,35 +78,22 @@ def test_a_move_has_arrived_after_two_idle_reads_at_its_target(target_deg, readi
     assert arrived == [False, False, True]
 
 
+NEVER_AT_ONE_PLACE = [(1.0 + step, 5.0 + step, False) for step in range(8)]
+CREEPING = [(0.1 * tick, 0.001 * tick, True) for tick in range(41)]
+
+
 @pytest.mark.parametrize(
     ("target_deg", "readings", "error", "fact"),
     [
-        (
-            5.0,
-            [(0.1, 4.9, False), (0.2, 4.9, False)],
-            MoveFailed,
-            r"pan: .* 4\.9000 deg, -0\.1000 .* 5\.0000",
-        ),
-        (
-            15.0,
-            [*((1.0 + step, 5.0 + step, False) for step in range(8)), (9.0, 1.0, False)],
-            MoveFailed,
-            r"1\.0000 deg",
-        ),
+        (5.0, [(0.1, 4.9, False), (0.2, 4.9, False)], MoveFailed, r"pan: .* 4\.9000 .* -0\.1000 .* 5\.0000"),
+        (15.0, [*NEVER_AT_ONE_PLACE, (9.0, 1.0, False)], MoveFailed, r"1\.0000 deg"),
         (5.0, [(0.1, 2.0, True), (1.6, 2.0, True), (1.7, 2.0, True)], MoveFailed, r"1\.5 s, at 2\.0000 deg"),
-        (
-            5.0,
-            [*((0.1 * tick, 0.001 * tick, True) for tick in range(41)), (4.1, 0.1, True)],
-            MoveTimeout,
-            r"4\.0 s",
-        ),
+        (5.0, [*CREEPING, (4.1, 0.1, True)], MoveTimeout, r"4\.0 s"),
         (None, [(3.9, math.nan, True), (4.1, math.nan, True)], MoveTimeout, r"reference .* 4\.0 s"),
     ],
     ids=["stops short", "never agrees", "without progress", "creeps for ever", "a search"],
 )
-def test_a_move_that_does_not_arrive_has_failed_at_its_last_reading(
-    target_deg, readings, error, fact
-) -> None:
+def test_a_move_that_does_not_arrive_has_failed_at_its_last_reading(target_deg, readings, error, fact):
     move = watch(target_deg)
     *before, (now_s, angle_deg, busy) = readings
     assert not any(move.update(*reading[:2], busy=reading[2]) for reading in before)

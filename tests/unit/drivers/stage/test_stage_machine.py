@@ -1,7 +1,5 @@
 """Any order of commands, faults and losses: a stage moves when told to only, and never says that it is where it is not."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import hypothesis.strategies as st

@@ -1,7 +1,5 @@
 """Two simulated Zaber controllers on one line, and the driver for them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 
@@ -18,10 +16,8 @@ LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 
 def axes(**changes) -> list[ZaberAxis]:
     words = {"microsteps_per_deg": SCALE, "limits": LIMITS, **changes}
-    return [
-        ZaberAxis(name="pan", device=1, serial="100101", **words),
-        ZaberAxis(name="tilt", device=2, serial="100102", **words),
-    ]
+    named = (("pan", 1, "100101"), ("tilt", 2, "100102"))
+    return [ZaberAxis(name=name, device=at, serial=serial, **words) for name, at, serial in named]
 
 
 class Bench(HomedStage):

@@ -46,9 +46,7 @@ def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first
     assert same(streams[1], triggers)
 
 
-def test_csv_is_read_again_with_its_size_and_the_unit_of_its_times_and_names_what_it_leaves_out(
-    raw, tmp_path
-):
+def test_csv_is_read_again_with_its_size_and_unit_of_times_and_names_what_it_leaves_out(raw, tmp_path):
     written = convert(raw, tmp_path / "pose.csv", "csv")
     assert (written.events, written.triggers, written.edges_left_out) == (5000, 0, 40)
     imported = import_events(tmp_path / "pose.csv")

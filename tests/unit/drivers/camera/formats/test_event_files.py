@@ -25,9 +25,7 @@ def words(n, *, step_us=7):
     for k in range(0, n, 10):
         t = START_US + k // 10 * step_us
         stream += [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, int(rng.integers(720))]
-        stream += [
-            0x2000 | int(rng.integers(2)) << 11 | int(x) for x in rng.integers(0, 1280, min(10, n - k))
-        ]
+        stream += [0x2000 | rng.integers(2) << 11 | x for x in rng.integers(0, 1280, min(10, n - k)).tolist()]
         if k // 10 % 50 == 0:
             stream.append(0xA000 | k // 500 % 2)
     return stream
@@ -190,9 +188,7 @@ def test_a_reader_that_cannot_be_used_stops_no_file_of_another_form(tmp_path):
 
 @pytest.mark.usefixtures("broken_reader")
 def test_a_reader_that_cannot_be_used_is_named_for_a_file_that_nothing_else_knows(tmp_path):
-    (tmp_path / "theirs.bin").write_bytes(bytes(range(1, 200)))
-    with (
-        pytest.raises(NotARecording, match=r"theirs.*no_such_package"),
-        event_files.open_events(tmp_path / "theirs.bin"),
-    ):
-        pass
+    path = tmp_path / "theirs.bin"
+    path.write_bytes(bytes(range(1, 200)))
+    with pytest.raises(NotARecording, match=r"theirs.*no_such_package"), event_files.open_events(path):
+        pytest.fail("it was opened")

@@ -161,9 +161,8 @@ def test_check_sums_and_every_order_of_filters_are_read(tmp_path):
     values = np.sort(np.random.default_rng(1).integers(0, 2**36, N))
     with plain(tmp_path / "a.h5") as file:
         del file["events/t"]
-        file.create_dataset(
-            "events/t", data=values, chunks=(700,), compression=3, shuffle=True, fletcher32=True
-        )
+        packed = {"compression": 3, "shuffle": True, "fletcher32": True}
+        file.create_dataset("events/t", data=values, chunks=(700,), **packed)
     assert np.array_equal(import_events(tmp_path / "a.h5").events.t, values)
 
 
@@ -213,9 +212,8 @@ def test_an_array_that_states_more_than_its_file_holds_is_refused(tmp_path):
     path = npz(tmp_path / "a.npz")
     with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "b.npz", "w") as new:
         for name in old.namelist():
-            new.writestr(
-                name, old.read(name).replace(b"(3000,)", b"(9000,)" if name == "t.npy" else b"(3000,)")
-            )
+            length = b"(9000,)" if name == "t.npy" else b"(3000,)"
+            new.writestr(name, old.read(name).replace(b"(3000,)", length))
     with pytest.raises(NotARecording, match="holds no readable events"):
         import_events(tmp_path / "b.npz")
 

@@ -86,9 +86,7 @@ def text(path, head, order, separator, unit=1):
     kinds = {"t": "{:.6f}" if unit != 1 else "{:.0f}"}
     table = plain_table(order, unit)
     lines = [
-        separator.join(
-            kinds.get(name, "{:.0f}").format(value) for name, value in zip(order, row, strict=True)
-        )
+        separator.join(kinds.get(name, "{:.0f}").format(of) for name, of in zip(order, row, strict=True))
         for row in table
     ]
     path.write_text(head + "\n".join(lines) + "\n")

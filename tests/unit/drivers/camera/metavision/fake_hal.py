@@ -135,13 +135,11 @@ class Biases:
     }
 
     def __init__(self, stated=None):
-        if stated is not None:
-            self.RANGES = {name: (low, high) for name, (_, low, high) in stated.items()}
-        self.values = {name: value for name, (value, _, _) in (stated or {}).items()} or dict.fromkeys(
-            self.RANGES, 0
-        )
         if stated is None:
-            self.values["bias_fo"] = 12
+            self.values = dict.fromkeys(self.RANGES, 0) | {"bias_fo": 12}
+        else:
+            self.RANGES = {name: (low, high) for name, (_, low, high) in stated.items()}
+            self.values = {name: value for name, (value, _, _) in stated.items()}
         self.deaf_to = set()
 
     def get_all_biases(self):
@@ -193,11 +191,8 @@ class Identification:
         return "Prophesee"
 
     def get_system_info(self):
-        return {
-            "EVK4 Release Version": "3.9.0",
-            "EVK4 Build Date": "Thu Jan  5 10:11:12 2023",
-            "EVK4 Speed": "5000",
-        }
+        build = {"EVK4 Release Version": "3.9.0", "EVK4 Build Date": "Thu Jan  5 10:11:12 2023"}
+        return build | {"EVK4 Speed": "5000"}
 
     def get_current_data_encoding_format(self):
         return self.encoding
