@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+from collections.abc import Generator
 from pathlib import Path
 
 # Before numpy is loaded: on small matrices, threads of the linear algebra cost three times what they gain, and the
@@ -10,6 +11,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from _pytest.doctest import DoctestModule
 from hypothesis import settings
 
 from bench.base.kernel_cache import remove_stale_kernels
@@ -40,10 +42,10 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-def pytest_ignore_collect(collection_path: Path) -> bool | None:
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file() -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
     """Only the product is searched for doctests: each worker would import every helper of the tests, too."""
-    helper = collection_path.suffix == ".py" and not collection_path.name.startswith("test_")
-    return True if helper else None
+    return [file for file in (yield) if not isinstance(file, DoctestModule)]
 
 
 @pytest.fixture

@@ -44,9 +44,8 @@ def rms_px(rig):
     return float(np.sqrt((rig.boards_rms_px**2).mean()))
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_with_the_same_intrinsics_it_is_the_same_rig(seed):
-    drawn = Drawn(seed, boards=14)
+def test_with_the_same_intrinsics_it_is_the_same_rig():
+    drawn = Drawn(0, boards=14)
     _, rotation, translation, rms = by_opencv(drawn, drawn.cameras)
     rig = with_boards(stated_cameras(*drawn.cameras), *drawn.views)
     assert 206265 * np.abs(log_map(rig.rotation @ rotation.T)).max() < 0.2  # arc seconds, of 3 of U
@@ -56,7 +55,7 @@ def test_with_the_same_intrinsics_it_is_the_same_rig(seed):
 
 def test_adjusted_with_the_rig_the_intrinsics_fit_better_and_the_rig_is_nearer_the_truth():
     ours, theirs = [], []
-    for seed in range(4):
+    for seed in range(2):
         drawn = Drawn(seed, boards=14)
         cameras, rotation, translation, rms = by_opencv(drawn)
         rig = with_boards(stated_cameras(*drawn.stated), *drawn.views, free=True)
