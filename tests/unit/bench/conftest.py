@@ -101,13 +101,11 @@ def make_a_run(path, *, serial="00050423"):
         for pose, attempts in ((1, 2), (2, 1)):
             recorded = []
             for attempt in range(1, attempts + 1):
-                folder.part_path(capture_name(pose, attempt)).write_bytes(
-                    f"recording {pose} {attempt}".encode()
-                )
-                capture = folder.commit(capture_name(pose, attempt))
-                journal.append(
-                    CAPTURE_STORED, pose=pose, pose_name=str(pose), attempt=attempt, **capture.as_data()
-                )
+                name = capture_name(pose, attempt)
+                folder.part_path(name).write_bytes(f"recording {pose} {attempt}".encode())
+                capture = folder.commit(name)
+                which = {"pose": pose, "pose_name": str(pose), "attempt": attempt}
+                journal.append(CAPTURE_STORED, **which, **capture.as_data())
                 recorded.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})
             poses.append({"index": pose, "attempts": recorded})
         results = {

@@ -120,17 +120,14 @@ def test_a_resealed_change_is_found(forger, trusted, attack):
     attack.do(forger)
     forger.seal()
     verification = checked(forger.folder, trusted)
-    assert not {"signature", "key", "changed", "added", "missing"} & {
-        fault.kind for fault in verification.faults
-    }
+    found = {fault.kind for fault in verification.faults}
+    assert not {"signature", "key", "changed", "added", "missing"} & found
     assert (attack.kind, attack.where) in kinds(verification), [str(fault) for fault in verification.faults]
 
 
 def test_the_journal_may_tell_what_rests_on_an_earlier_run_and_results_may_not(forger, trusted):
-    told = Cause(
-        "light set otherwise", 20.0, 40.0, unit="%", stated=50.0, axis="duty", before="run-7"
-    ).to_dict()
-    line("solved", lambda data: data["causes"].append(told))(forger)
+    told = Cause("light set otherwise", 20.0, 40.0, unit="%", stated=50.0, axis="duty", before="run-7")
+    line("solved", lambda data: data["causes"].append(told.to_dict()))(forger)
     forger.seal()
     assert checked(forger.folder, trusted).ok
     with_hashes(lambda f: f.edit_results(lambda results: results["causes"].append(told)))(forger)

@@ -101,9 +101,7 @@ def test_the_time_of_a_plan_is_the_sum_of_its_steps_and_moves_count_from_where_t
     homing_s = done[0] - took[1]
     parking_s = done[7] - took[8] - done[6]
     assert homing_s > travel_time_s(30, 40, 200)  # over pan's whole range
-    assert parking_s == pytest.approx(
-        travel_time_s(10, 40, 200), abs=0.2
-    )  # after the last recording, from pan 10
+    assert parking_s == pytest.approx(travel_time_s(10, 40, 200), abs=0.2)  # the last pose is at pan 10
     assert made.duration_s == done[-1] == pytest.approx(sum(took.values()) + homing_s + parking_s)
 
 
@@ -185,9 +183,8 @@ def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
         for path in SEQUENCES
     }
     assert faults_of["turntable"] == ()
-    assert {fault.path for fault in faults_of["three_pose"]} == {
-        f"poses.three[{i}].tilt_deg" for i in range(3)
-    }
+    places = {fault.path for fault in faults_of["three_pose"]}
+    assert places == {f"poses.three[{i}].tilt_deg" for i in range(3)}
 
 
 def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():

@@ -114,9 +114,7 @@ def test_a_run_is_listed_once_also_where_a_link_leads_to_it(index, tmp_path, thr
     (tmp_path / "other").symlink_to(tmp_path / "runs", target_is_directory=True)
     runs, faults = index.runs([*three, link, tmp_path / "other" / "a", three[1] / ".." / "a"])
     assert faults == []
-    assert [run.folder for run in runs] == [
-        str(folder.resolve()) for folder in (three[1], three[2], three[0])
-    ]
+    assert [run.folder for run in runs] == [str(three[at].resolve()) for at in (1, 2, 0)]
 
 
 @pytest.mark.parametrize("harm", ["garbage", "older", "deleted"])

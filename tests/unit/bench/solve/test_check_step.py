@@ -76,9 +76,8 @@ def planned(folder, *steps):
     head = "format: starbench/sequence/1\nname: Check\nsteps:"
     text = "\n  - ".join([head, "record", *steps, "report\n"])
     (folder / "sequence.yaml").write_text(text)
-    return [
-        str(fault) for fault in make_plan(*load_documents(str(folder / "sequence.yaml"), "simulated")).faults
-    ]
+    made = make_plan(*load_documents(str(folder / "sequence.yaml"), "simulated"))
+    return [str(fault) for fault in made.faults]
 
 
 @pytest.mark.parametrize(
@@ -97,10 +96,8 @@ def test_a_calibration_that_cannot_be_checked_is_a_fault_before_anything_moves(t
     matrix = [800, 0, 320, 0, 800, 240, 0, 0, 1]
     small = {"type": "pinhole", "width": 640, "height": 480, "K": matrix, "D": [0, 0, 0, 0, 0]}
     (tmp_path / "small.json").write_text(json.dumps(small))
-    faults = planned(tmp_path, *steps)
-    assert any(fault_text in fault and f"sequence.yaml:{4 + len(steps)}:" in fault for fault in faults), (
-        faults
-    )
+    faults, place = planned(tmp_path, *steps), f"sequence.yaml:{4 + len(steps)}:"
+    assert any(fault_text in fault and place in fault for fault in faults), faults
 
 
 def test_a_check_needs_a_calibration_and_results_without_one_have_no_row(tmp_path, solved):

@@ -72,9 +72,8 @@ COVARIANCE = np.diag([1.0, 1.0, 1e-6, 1e-6, 1e-8])
 
 
 def test_the_worst_corner_has_px_and_microradians_with_the_factor():
-    stars = np.stack(np.meshgrid(np.arange(300, 990, 40.0), np.arange(100, 620, 40.0)), axis=-1).reshape(
-        -1, 2
-    )
+    grid = np.meshgrid(np.arange(300, 990, 40.0), np.arange(100, 620, 40.0))
+    stars = np.stack(grid, axis=-1).reshape(-1, 2)
     facts = projection_facts(CAMERA, COVARIANCE, 2.0, [stars])
     worst = facts.worst_corner
     assert worst.corner in {"top left", "top right", "bottom left", "bottom right"}
@@ -89,7 +88,6 @@ def test_the_worst_corner_has_px_and_microradians_with_the_factor():
 
 def test_stars_at_one_place_support_little_and_no_stars_nothing():
     facts = projection_facts(CAMERA, COVARIANCE, 2.0, [np.array([[640.0, 360.0]])])
-    assert facts.supported.share == pytest.approx(
-        np.pi * facts.supported.reach_px**2 / (1280 * 720), rel=0.01
-    )
+    reached_px2 = np.pi * facts.supported.reach_px**2
+    assert facts.supported.share == pytest.approx(reached_px2 / (1280 * 720), rel=0.01)
     assert projection_facts(CAMERA, COVARIANCE, 2.0, []).supported is None

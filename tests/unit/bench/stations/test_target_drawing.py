@@ -42,9 +42,8 @@ def test_what_is_filled_is_what_is_opaque_on_the_print(polarity, family, segment
     on_print = places - drawing.offset_mm
     white = pattern.reflectance(*on_print.T) > 0.5
     opaque = white if polarity == "negative" else ~white
-    in_pattern = (np.abs(places) < 0.5 * np.array([pattern.columns, pattern.rows]) * pattern.pitch_mm).all(
-        axis=1
-    )
+    half_mm = 0.5 * np.array([pattern.columns, pattern.rows]) * pattern.pitch_mm
+    in_pattern = (np.abs(places) < half_mm).all(axis=1)
     assert np.array_equal(count[in_pattern] == 1, opaque[in_pattern])
     marks = (count == 1) != opaque
     assert 0.002 < marks[~in_pattern].mean() < 0.1
