@@ -24,7 +24,7 @@ def weighed_as(there: Optimum, than: Optimum) -> Marginal:
 
 
 def two_log(probability: float) -> float:
-    """Return 2 log of a probability; also of one that is none as a number."""
+    """Return 2 log of a probability, a number even for 0."""
     return 2.0 * math.log(max(probability, 1e-30))
 
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -29,9 +30,7 @@ from calib.view import View
 
 #: Shifts of ids up to this number of columns and rows are tried.
 MAX_SHIFT = 2
-_SHIFTS = [
-    (i, j) for i in range(-MAX_SHIFT, MAX_SHIFT + 1) for j in range(-MAX_SHIFT, MAX_SHIFT + 1) if i or j
-]
+_SHIFTS = [shift for shift in product(range(-MAX_SHIFT, MAX_SHIFT + 1), repeat=2) if any(shift)]
 #: Largest deviation of a star from a node of the lattice, pitches.
 _ON_LATTICE = 0.05
 #: A shift is looked at if -2 log of the likelihood rises by no more than this with it, all linear: wrong ids have made
@@ -46,12 +45,10 @@ _RIVALS = 2
 HALF_PX = 0.5
 
 
-def _with_one(shifts: Array, views: Sequence[int], steps: Sequence[tuple[float, float]]) -> Array:
+def _with_one(shifts: Array, views: Sequence[int], steps: Sequence[tuple[float, ...]]) -> Array:
     """Return (N, m, 2) the (m, 2) shifts with each step for each of some views instead."""
-    tried = np.repeat(shifts[None], len(views) * len(steps), axis=0).reshape(-1, len(steps), *shifts.shape)
-    for k, view in enumerate(views):
-        tried[k, :, view] = steps
-    return tried.reshape(-1, *shifts.shape)
+    places = np.arange(len(shifts))[:, None]
+    return np.array([np.where(places == view, step, shifts) for view in views for step in steps])
 
 
 @dataclass(frozen=True)
