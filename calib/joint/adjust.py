@@ -413,7 +413,8 @@ def _is_denied(problem: Problem, start: State, alone: Optimum, rounds: int) -> b
 def _is_less_probable(held: Optimum, alone: Optimum) -> bool:
     """Tell whether the certificate is more probably another collimator's: all octaves of a radius are as probable."""
     radius_mm = float(alone.state.shared[alone.marginal.problem.bench.layout.index["r"]])
-    return held.solution.value - alone.solution.value > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
+    less = value_as_weighed(held, alone) - alone.solution.value
+    return less > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
 
 
 def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:
