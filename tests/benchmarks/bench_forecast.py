@@ -19,15 +19,8 @@ import measured
 import numpy as np
 
 from bench.solve.solve_options import limited_numbers
-from calib import (
-    CalibrationError,
-    CalibrationOptions,
-    CameraModel,
-    Collimator,
-    Passport,
-    StarTarget,
-    calibrate,
-)
+from calib import CalibrationOptions, CameraModel, Collimator, Passport, StarTarget, calibrate
+from calib.errors import CalibrationError
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.studies.planning import Forecast, forecast
 from calib.studies.predicted_views import CollimatorErrors, ExpectedBench

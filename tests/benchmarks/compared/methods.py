@@ -6,15 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from calib import (
-    Calibration,
-    CalibrationError,
-    CalibrationOptions,
-    CameraModel,
-    Passport,
-    StarTarget,
-    calibrate,
-)
+from calib import Calibration, CalibrationOptions, CameraModel, Passport, StarTarget, calibrate
+from calib.errors import CalibrationError
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 from tests.benchmarks.compared.reference_methods import (
