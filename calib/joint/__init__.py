@@ -3,8 +3,9 @@
 The modules in the order of the work. `fields`: smooth random fields and their shapes. `amplitudes`: how large they
 are expected to be. `hypotheses`: what may be otherwise, with odds. `knowledge`: statements, a row each. `effects`: an
 object each, with its unknowns, columns and prior. `layout`: names and places of the unknowns. `equations`: linearised
-stars and readings, a small matrix a view. `marginal`: likelihood of the amplitudes, with its gradient. `poses`: which
-views are one pose. `posed`: from views to the problem. `solve`: the search. `adjust`: from starts to the optimum.
+stars and readings, a small matrix a view. `marginal`: likelihood of the amplitudes, with its gradient.
+`pose_equations`: what each pose says of it. `poses`: which views are one pose. `posed`: from views to the problem.
+`solve`: the search. `adjust`: from starts to the optimum.
 `doubts`: which statements hold. `modes`: all doubts about one optimum. `evidence`: how explanations are compared.
 `posterior`: the mixture and its intervals. `explanations`: other lenses and ways of the pupil in it. `summary`: what
 it states. `words`: notes. `result`: the door, a `Calibration`. `forecast`: the face for studies. The equations stand

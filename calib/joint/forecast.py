@@ -22,9 +22,9 @@ from calib.joint.effects.camera import DRIFT
 from calib.joint.equations import sines_of, turns_of
 from calib.joint.hypotheses import OTHER_LENGTH
 from calib.joint.knowledge import FOCAL
-from calib.joint.left_out import maps_with_gimbal, normal_of_poses
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.modes import Modes
+from calib.joint.pose_equations import maps_with_gimbal, normal_of_poses
 from calib.joint.posed import lens_names, posed
 from calib.joint.poses import Poses
 from calib.joint.posterior import Posterior

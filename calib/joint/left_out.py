@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint import amplitudes as amp
 from calib.joint.effects.by_turn import Along
 from calib.joint.equations import Bench, State
-from calib.joint.marginal import Marginal, Problem, Solution
+from calib.joint.marginal import Problem, Solution
+from calib.joint.pose_equations import maps_with_gimbal, normal_of_poses
 from calib.joint.posterior import Posterior
 from calib.joint.prior import block_diagonal
 from calib.joint.solve import CURVED, Optimum, relative_step
@@ -78,37 +78,6 @@ def _as_shown(problem: Problem, pose: int) -> Bench:
     places = bench.pupils.copy()
     places[pose] = pupils.shown[pose]
     return replace(bench, pupils=places)
-
-
-def normal_of_poses(marginal: Marginal, squares: Array) -> Array:
-    """Return (n, Z, Z + 1) what each pose says of its basis and of the gimbal, its own field eliminated.
-
-    It is the information, and the right-hand side in the last column, for (A,) squares of amplitudes.
-    """
-    problem, equations, star = (
-        marginal.problem,
-        marginal.equations,
-        squares[marginal.problem.hyper.at(amp.STAR)],
-    )
-    bench, own = problem.bench, problem.bench.layout.own.places
-    size, gimbal = bench.layout.pose.size, len(bench.gimbal_places)
-    whole = np.zeros((bench.n_poses, size + gimbal, size + gimbal + 1))
-    whole[:, :size, :size], whole[:, :size, -1] = equations.squares / star, equations.right / star
-    if marginal.uses_readings:
-        columns = [equations.coupling, equations.gimbal, equations.off[:, :, None]]
-        rows = marginal.axes @ np.concatenate(columns, axis=2)
-        weighted = marginal.reading_weights(squares)[:, :, None] * rows
-        whole += bench.by_pose(np.swapaxes(rows[:, :, :-1], 1, 2) @ weighted)
-    expected, between = problem.own_information(squares), whole[:, own]
-    between[:, :, -1] -= expected * marginal.state.fields
-    followed = np.linalg.solve(between[:, :, own] + np.diag(expected), between)
-    return np.asarray(whole - np.swapaxes(between[:, :, :-1], 1, 2) @ followed)
-
-
-def maps_with_gimbal(bench: Bench, maps: Array) -> Array:
-    """Return (n, Z, S) what the shared unknowns do to the bases of the poses, from (n, B, S), and to the gimbal."""
-    units = np.eye(maps.shape[2])[bench.gimbal_places]
-    return np.concatenate([maps, np.tile(units, (len(maps), 1, 1))], axis=1)
 
 
 def rotation_errors(posterior: Posterior) -> RotationErrors:

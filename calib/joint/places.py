@@ -12,6 +12,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.joint.effects.by_turn import slopes
 from calib.joint.marginal import Solution
+from calib.joint.pose_equations import maps_with_gimbal, normal_of_poses
 from calib.joint.prior import block_diagonal, inverse_root
 from calib.joint.pupils import Pupils
 
@@ -109,20 +110,10 @@ def _information(seen: _Seen, moved: Array, solution: Solution) -> Array:
 
 def _seen(solution: Solution) -> _Seen:
     marginal, bench = solution.marginal, solution.marginal.problem.bench
-    equations = marginal.equations
-    own = bench.layout.own.places
-    information, right = equations.squares / solution.star_variance, equations.right / solution.star_variance
-    shared = equations.maps.swapaxes(1, 2) @ information
-    if marginal.uses_readings:  # in the axes of each view's rotation
-        rows = marginal.axes @ equations.coupling
-        weighted = marginal.reading_weights(solution.squares)[:, :, None] * rows
-        information = information + bench.by_pose(rows.swapaxes(1, 2) @ weighted)
-        shared = shared + bench.by_pose(marginal.rows.swapaxes(1, 2) @ weighted)
-        right = right + bench.by_pose((weighted.swapaxes(1, 2) @ marginal.off[:, :, None])[:, :, 0])
-    with_own = information[:, own]
-    right = right - solution.step @ shared - (solution.fields[:, None] @ with_own)[:, 0]
-    information = information - with_own.swapaxes(1, 2) @ solution.own @ with_own
-    return _Seen(information, shared - solution.follow.swapaxes(1, 2) @ with_own, right)
+    size, maps = bench.layout.pose.size, maps_with_gimbal(bench, marginal.equations.maps)
+    normal = normal_of_poses(marginal, solution.squares)
+    shared = maps.swapaxes(1, 2) @ normal[:, :, :size]
+    return _Seen(normal[:, :size, :size], shared, normal[:, :size, -1] - solution.step @ shared)
 
 
 def _of_determinant(solution: Solution) -> tuple[Array, Array]:
