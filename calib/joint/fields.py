@@ -27,6 +27,8 @@ _EXPONENTS = np.array([(d - k, k) for d in range(DEGREE + 1) for k in range(d + 
 #: Number of coefficients of a field: those of X, then those of Y.
 COEFFICIENTS = 2 * len(DEGREES)
 _GRID = 41
+#: Half the base of a numerical derivative, as a share of the disc's radius: fields bend over a hundred times as much.
+_STEP = 1e-3
 
 
 def _powers(points: Array) -> Array:
@@ -75,6 +77,16 @@ class FieldBasis:
         h = _DISC * self.radius_mm / self.reference[2]
         coefficients = np.swapaxes(_ON_DISC.T @ displacement(h) / len(h), -1, -2)
         return coefficients.reshape(*coefficients.shape[:-2], -1)
+
+    def scale_at(self, point_mm: Array) -> Array:
+        """Return (2 K,) the share by which a field with each coefficient alone enlarges the target about a point.
+
+        It is half the divergence: the mean of the scales along X and Y.
+        """
+        step_mm = _STEP * self.radius_mm
+        x, y = point_mm + step_mm * np.array([[[1.0], [-1.0]]]) * np.eye(2)[:, None]
+        along = [np.subtract(*self.polynomials(ends)) for ends in (x, y)]
+        return 0.5 * self.reference[2] * np.concatenate(along) / (2.0 * step_mm)
 
     @cached_property
     def radial(self) -> Array:

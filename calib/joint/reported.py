@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint.effects.collimator import COMMON_PLACES, FIELD
+from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD
 from calib.joint.layout import Layout
 from calib.joint.posterior import Posterior
 from calib.model.camera import CameraModel
@@ -47,22 +47,23 @@ def reported(posterior: Posterior, further: tuple[str, ...]) -> Reported:
     names = (*(name for name in layout.pose.camera if name != R8), *further)
     shares = _taken_up(camera) if R8 in layout.index else {}
     follows = np.array([shares.get(name, 0.0) for name in names])
-    rows = as_seen(layout)[layout.places(names)]
+    rows = as_seen(layout, posterior.mean)[layout.places(names)]
     if shares:
         rows[:, layout.index[R8]] = follows
     return Reported(names, rows, follows)
 
 
-def as_seen(layout: Layout) -> Array:
-    """Return (S, S) the shared unknowns with the scale of the common field in the radius, as functions of themselves.
+def as_seen(layout: Layout, mean: Array) -> Array:
+    """Return (S, S) the shared unknowns as functions of themselves, with the common field's scale in the radius.
 
-    A field that makes all distances on the target longer by a share is a radius that is shorter by it.
+    A field that makes distances on the target longer by a share is a radius that is shorter by it. That counts at the
+    foot of the (S,) ``mean``, where the axis is: over the disc, fields that grow with a power have a scale, too.
     """
-    rows, scale = np.eye(len(layout.names)), layout.basis.shape(np.asarray)[COMMON_PLACES]
+    basis, rows = layout.basis, np.eye(len(layout.names))
+    share = basis.scale_at(mean[layout.places(CENTRE[:2])])[COMMON_PLACES]
     field, r = layout.places([f"{FIELD}{k}" for k in COMMON_PLACES]), layout.index["r"]
-    share = scale / (scale @ scale)
-    rows[r, field] = -layout.basis.reference[2] * share
-    rows[np.ix_(field, field)] -= np.outer(scale, share)
+    rows[r, field] = -basis.reference[2] * share
+    rows[np.ix_(field, field)] -= np.outer(basis.shape(np.asarray)[COMMON_PLACES], share)
     return rows
 
 

@@ -108,7 +108,7 @@ def _adjusted(views: Sequence[View], options: CalibrationOptions) -> _Adjusted:
 def _parameters(posterior: Posterior) -> AdjustmentParameters:
     """Return the posterior's mean. Rotations and gimbal are those that belong to it."""
     optimum, bench = posterior.reported, posterior.optimum.marginal.problem.bench
-    seen = as_seen(bench.layout) @ posterior.mean
+    seen = as_seen(bench.layout, posterior.mean) @ posterior.mean
     named = dict(zip(bench.layout.names, seen.tolist(), strict=True))
     radial = {name: named[name] for name in RADIAL}
     centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
@@ -239,7 +239,7 @@ def _glass(posterior: Posterior, views: Sequence[View]) -> Passport:
     """Return what was found out about the collimator: centre, radial terms, common field, jointly."""
     layout = posterior.optimum.marginal.problem.bench.layout
     names = (*CENTRE, *RADIAL, *(f"{FIELD}{k}" for k in COMMON_PLACES))
-    rows = as_seen(layout)[layout.places(names)]
+    rows = as_seen(layout, posterior.mean)[layout.places(names)]
     field = np.array([name.startswith(FIELD) for name in names])
     return Passport(
         names,

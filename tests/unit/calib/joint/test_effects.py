@@ -64,7 +64,7 @@ def test_the_stated_radius_is_the_length_that_a_camera_sees():
     scale = 0.02 * there.basis.shape(np.asarray)[COMMON_PLACES]
     field = there.places([f"{FIELD}{k}" for k in COMMON_PLACES])
     found[field] = scale
-    stated = as_seen(there) @ found
+    stated = as_seen(there, found) @ found
     displaced = np.zeros((2, target.shape[1]))
     displaced.reshape(-1)[COMMON_PLACES] = scale
     seen = (points + 250.0 * target @ displaced.T) / 250.0
@@ -72,4 +72,17 @@ def test_the_stated_radius_is_the_length_that_a_camera_sees():
     assert points / stated[there.index["r"]] == pytest.approx(seen, rel=1e-3)  # to the square of the 2 %
     assert stated[field] == pytest.approx(0.0, abs=1e-15)
     found[field] = np.roll(scale, 1)  # all else stays as it is
-    assert as_seen(there) @ found == pytest.approx(as_seen(there) @ (as_seen(there) @ found))
+    again = as_seen(there, found)
+    assert again @ found == pytest.approx(again @ (again @ found))
+
+
+@pytest.mark.parametrize("foot_mm", [(0.0, 0.0), (3.0, -2.0)])
+def test_glass_whose_errors_grow_with_a_power_shows_the_length_on_its_axis(foot_mm):
+    there = layout(Pupil.HELD)
+    found = np.zeros(len(there.names))
+    found[there.places(("x", "y", "r"))] = *foot_mm, 250.0
+    off = np.array(foot_mm) / 250.0
+    shape = there.basis.shape(lambda h: 30.0 * ((h - off) ** 2).sum(axis=1, keepdims=True) ** 3 * (h - off))
+    found[there.places([f"{FIELD}{k}" for k in COMMON_PLACES])] = shape[COMMON_PLACES]
+    stated = as_seen(there, found) @ found
+    assert stated[there.index["r"]] == pytest.approx(250.0, abs=1e-4)
