@@ -1,7 +1,5 @@
 """The lock files hold a version with its hashes for every dependency, within the range of pyproject.toml."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a person did to a bench is named first, with its place, size and remedy; right statements are not accused."""
 
-from __future__ import annotations
-
 import pytest
 from slow_cases import first_quick
 

@@ -1,7 +1,5 @@
 """Glass can imitate another foot of the perpendicular, and another radius with it, while the camera stays right."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from calib import CalibrationOptions, View, calibrate

@@ -1,7 +1,5 @@
 """Where the focal length changes while the poses are recorded, U holds every one that was there, and one sentence says it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
