@@ -124,9 +124,10 @@ def test_times_that_would_fill_the_disk_with_clock_words_are_refused(tmp_path, t
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
 
-def npz(path, size=(1280, 720), x=0, value=0, channel=0):
+def npz(path, size=(1280, 720), x=0, edge_us=5, value=0, channel=0):
     """One event and one edge, as another program may have written them."""
-    columns = {"t": 10, "x": x, "y": 0, "p": 1, "trigger_t": 5, "trigger_value": value, "trigger_id": channel}
+    edge = {"trigger_t": edge_us, "trigger_value": value, "trigger_id": channel}
+    columns = {"t": 10, "x": x, "y": 0, "p": 1, **edge}
     np.savez(path, size=np.array(size), **{name: np.array([number]) for name, number in columns.items()})
     return path
 
@@ -209,3 +210,10 @@ def test_a_file_system_without_links_is_served_too(tmp_path, monkeypatch):
     with new_file(tmp_path / "a") as part:
         part.write_bytes(b"whole")
     assert Path(tmp_path / "a").read_bytes() == b"whole"
+
+
+@pytest.mark.parametrize("edge_us", [5, 20])
+def test_an_edge_before_or_after_all_events_is_in_a_raw_file(tmp_path, edge_us):
+    convert(npz(tmp_path / "a.npz", edge_us=edge_us), tmp_path / "a.raw", "raw")
+    events, edges = RawFile.open(tmp_path / "a.raw").read()
+    assert (events.t.tolist(), edges.t.tolist()) == ([10], [edge_us])
