@@ -173,9 +173,10 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
     def value(end: _End) -> float:
         return value_as_weighed(end.optimum, first)
 
+    ends.sort(key=value)
     with suppress(NotConverged, np.linalg.LinAlgError):  # the other ends stand
-        ends += _about_middle(task, min(ends, key=value))
-    return sorted(ends, key=value)
+        ends = sorted([*ends, *_about_middle(task, ends[0])], key=value)
+    return ends
 
 
 def _begins(
@@ -291,7 +292,10 @@ def _about_middle(task: Task, end: _End) -> list[_End]:
     shared = state.shared.copy()
     shared[at] = *middle, np.hypot(foot[2], beside)  # what lies in the middle stays as far away
     moved = bench.aligned(replace(state, shared=shared), end.optimum.marginal.equations.weights)
-    optimum = search(*task.posed_at(moved, problem, end.begin.start), task.options.max_iterations)
+    there = task.posed_at(moved, problem, end.begin.start)
+    optimum = _square_or_stretched(*there, task.options.max_iterations)
+    if end.optimum.converged and not optimum.converged:
+        return []
     return [_End(replace(optimum, iterations=end.optimum.iterations + optimum.iterations), end.begin)]
 
 
@@ -413,7 +417,10 @@ def _is_denied(problem: Problem, start: State, alone: Optimum, rounds: int) -> b
 def _is_less_probable(held: Optimum, alone: Optimum) -> bool:
     """Tell whether the certificate is more probably another collimator's: all octaves of a radius are as probable."""
     radius_mm = float(alone.state.shared[alone.marginal.problem.bench.layout.index["r"]])
-    less = value_as_weighed(held, alone) - alone.solution.value
+    try:
+        less = value_as_weighed(held, alone) - alone.at_best.solution.value
+    except np.linalg.LinAlgError:
+        return True
     return less > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
 
 

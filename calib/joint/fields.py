@@ -29,6 +29,8 @@ COEFFICIENTS = 2 * len(DEGREES)
 _GRID = 41
 #: Half the base of a numerical derivative, as a share of the disc's radius: fields bend over a hundred times as much.
 _STEP = 1e-3
+#: Within this share of the disc's radius the scale of degree 7 is alike; at the edge it is nine times as large.
+_TOLD = 0.6
 
 
 def _powers(points: Array) -> Array:
@@ -81,10 +83,14 @@ class FieldBasis:
     def scale_at(self, point_mm: Array) -> Array:
         """Return (2 K,) the share by which a field with each coefficient alone enlarges the target about a point.
 
-        It is half the divergence: the mean of the scales along X and Y.
+        It is half the divergence: the mean of the scales along X and Y. Of a point near the disc's edge or beyond, it
+        is that of the nearest one within, where stars tell the fields.
         """
-        step_mm = _STEP * self.radius_mm
-        x, y = point_mm + step_mm * np.array([[[1.0], [-1.0]]]) * np.eye(2)[:, None]
+        step_mm, off = _STEP * self.radius_mm, point_mm - self.reference[:2]
+        near = self.reference[:2] + off * min(
+            1.0, _TOLD * self.radius_mm / max(float(np.hypot(*off)), step_mm)
+        )
+        x, y = near + step_mm * np.array([[[1.0], [-1.0]]]) * np.eye(2)[:, None]
         along = [np.subtract(*self.polynomials(ends)) for ends in (x, y)]
         return 0.5 * self.reference[2] * np.concatenate(along) / (2.0 * step_mm)
 
