@@ -63,7 +63,7 @@ def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
 
 
 def _at_node(solution: Solution, gradients: Array) -> Iterator[tuple[Sequence[str], Array]]:
-    """Give the (T, p) variances by T terms for given amplitudes, with the group of each term."""
+    """Give the (T, p) variances that T terms make at given amplitudes, and the group of each term."""
     marginal, squares = solution.marginal, solution.squares
     x = solution.covariance @ gradients.T
     fields = -np.swapaxes(solution.own_root, 1, 2) @ (solution.between @ x)

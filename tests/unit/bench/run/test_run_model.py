@@ -209,7 +209,7 @@ class Life(RuleBasedStateMachine):
         self.shut_at_s = self.scene.clock.monotonic() + shut_after_s
 
     def _command(self, word, **more):
-        """Play the thread that takes commands: at once, in the midst of the work."""
+        """Give a command at once, in the midst of the work. In a run, a thread of its own takes them."""
         runner = self.scene.runner
         inbox = getattr(runner, "inbox", None)
         if inbox is None or inbox.closed:

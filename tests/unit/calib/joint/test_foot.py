@@ -10,7 +10,7 @@ _MIDDLE_PX, _SIZE = np.array([649.0, 349.0]), (1280, 720)
 
 
 def _views(seed: int) -> list[View]:
-    """Return nine poses that turn little, before glass and behind a lens that distort; the foot is at (0, 0)."""
+    """Return the views of nine poses within 2 degrees. Lens and collimator distort; the foot is at (0, 0)."""
     rng = np.random.default_rng(seed)
     target_mm = np.stack(np.meshgrid(5.0 * np.arange(-14, 15), 5.0 * np.arange(-10, 11)), -1).reshape(-1, 2)
     h = target_mm / _R_MM
