@@ -1,1 +1,0 @@
-"""What `compare_checkouts.py` is made of: two sides, scenarios, rules for what varies, and the comparison."""
