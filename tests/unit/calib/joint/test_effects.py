@@ -3,16 +3,22 @@
 import numpy as np
 import pytest
 
+from calib import CalibrationOptions
+from calib.joint.adjust import adjust
 from calib.joint.amplitudes import Lever, Pupil, hyperprior
 from calib.joint.effects import EFFECTS
 from calib.joint.effects.by_turn import Along, GimbalAside, OwnByTurn
-from calib.joint.effects.collimator import COMMON_PLACES, FIELD
+from calib.joint.effects.collimator import COMMON_PLACES, FIELD, Changes, PoseFields
 from calib.joint.effects.effect import Circumstances, PoseBasis, Turned
 from calib.joint.effects.rim import NUMBER, Rim
 from calib.joint.fields import FieldBasis
 from calib.joint.layout import Layout
 from calib.joint.prior import RandomPrior
 from calib.joint.reported import as_seen
+from calib.model.gimbal_readings import GimbalReadings
+from calib.model.type_b_terms import TypeBTerm
+from tests.support.drawn_benches import NINE, draw_bench
+from tests.unit.calib.conftest import Bench
 
 CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 TURNS = np.array([[0.0, 0.0], [0.1, 0.02], [-0.05, 0.2]])
@@ -86,3 +92,41 @@ def test_glass_whose_errors_grow_with_a_power_shows_the_length_on_its_axis(foot_
     found[there.places([f"{FIELD}{k}" for k in COMMON_PLACES])] = shape[COMMON_PLACES]
     stated = as_seen(there, found) @ found
     assert stated[there.index["r"]] == pytest.approx(250.0, abs=1e-4)
+
+
+def test_on_some_drawn_bench_each_effect_is_told_from_all_others_together():
+    """Ten times as large as expected, it stands out of the noise, though all others may imitate it.
+
+    Changes since a passport move no star: a statement ties them to the collimator's unknowns.
+    """
+    rolled = [(pose["pan"], pose["tilt"], 60.0 * k) for k, pose in enumerate(NINE)]
+    angles = tuple(dict(zip(("pan_deg", "tilt_deg", "roll_deg"), pose, strict=True)) for pose in rolled)
+    stated = CalibrationOptions(
+        gimbal=GimbalReadings(angles, 0.002, 2e-4, 0.001, None, "drawn"),
+        budget=(TypeBTerm("bow", "print_bow", 0.5, "station", "rectangular", radius_mm=40.0),),
+    )
+    gimbal = adjust(Bench(half_angle_deg=40.0).views(np.random.default_rng(1), 0.003, rolled), stated)
+    hand = adjust(draw_bench("like-real", NINE, 11, star_sigma_px=0.003).views, CalibrationOptions())
+    told = {
+        kind
+        for optimum in (gimbal, hand)
+        for kind in map(type, optimum.marginal.problem.bench.layout.effects)
+        if 100.0 * (1.0 / left_unknown(optimum, kind) - 1.0) > 1.0
+    }
+    assert told == {kind for kinds in EFFECTS.values() for kind in kinds} - {Changes}
+
+
+def left_unknown(optimum, kind):
+    """The smallest share of an effect's variance that the views leave, of all combinations of its unknowns."""
+    problem = optimum.marginal.problem
+    solution = optimum.marginal.solve(problem.hyper.mean)
+    names = problem.bench.layout.names_of(kind)
+    if kind is PoseFields:
+        return (solution.own_variances * problem.own_information(solution.squares)).min()
+    if not names:
+        return 1.0
+    expected, random = problem.stated().information.copy(), problem.random.places
+    expected[np.ix_(random, random)] += solution.inside
+    own = np.ix_(*2 * [problem.bench.layout.places(names)])
+    root = np.linalg.cholesky(expected[own])
+    return np.linalg.eigvalsh(root.T @ solution.covariance[own] @ root)[0]

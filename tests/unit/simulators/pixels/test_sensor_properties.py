@@ -13,8 +13,8 @@ from simulators.pixels.sensor import Events, Link, Sensor, draw_noise_rates, sim
 from simulators.pixels.sensor_stream import sync_edges
 from simulators.world.truth import NoiseTruth
 from simulators.world.world import LightState
-from tests.unit.simulators.ode_pixel import solve
-from tests.unit.simulators.test_evt3_writer import read
+from tests.unit.simulators.pixels.ode_pixel import solve
+from tests.unit.simulators.pixels.test_evt3_writer import read
 
 WIDTH, HEIGHT = 64, 32
 SEEDS = st.integers(0, 2**32 - 1)

@@ -10,7 +10,7 @@ from simulators.pixels.biases import ALLOWED, PixelSettings
 from simulators.pixels.sensor import Link, Sensor, simulate
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
-from tests.unit.simulators.ode_pixel import solve, solve_with_filters
+from tests.unit.simulators.pixels.ode_pixel import solve, solve_with_filters
 
 MISMATCH_ONLY = NoiseTruth(mismatch=0.12, background_hz=0.0, hot_share=0.0, hot_hz=0.0, reset_noise=0.0)
 SQUARE = LightState(waveform="square", output=True)
