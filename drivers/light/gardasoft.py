@@ -184,8 +184,7 @@ class GardasoftLight(WatchedLight):
 
         The level of a steady light can be read back only while it is lit. In the dark it is checked later, by ``on``.
         """
-        percent = round(self._full_percent * settings.high_v / FULL_SCALE_V, 1)
-        self._check_possible(settings, percent)
+        percent = self._percent(settings)
         self._end_messages()
         if settings.waveform == "steady":
             return self._apply_steady(percent)
@@ -269,16 +268,19 @@ class GardasoftLight(WatchedLight):
             self._line.query("GT0")
             self._messages_ended = True
 
-    def _check_possible(self, settings: LightSettings, percent: float) -> None:
-        """Raise SettingRefused for settings that no RT controller can make, before anything is sent."""
+    def _refuse_impossible(self, settings: LightSettings) -> None:
+        """See `WatchedLight._refuse_impossible`."""
         wrong = []
         steady = settings.waveform == "steady"
         if settings.waveform == "sine":
             wrong.append("this light makes square pulses only")
-        wrong += percent_faults(settings, percent, self._full_percent)
+        wrong += percent_faults(settings, self._percent(settings), self._full_percent)
         if settings.sync_output and self._sync_channel is None and not steady:
             wrong.append("this light has no sync channel")
         self._refuse(wrong)
+
+    def _percent(self, settings: LightSettings) -> float:
+        return round(self._full_percent * settings.high_v / FULL_SCALE_V, 1)
 
     def _apply_steady(self, percent: float) -> LightSettings:
         """Keep a level for ``on``; set it at once when the light is lit already."""

@@ -59,6 +59,10 @@ class TextLight(WatchedLight):
         serial = self._line.read_serial(self._serial)
         return LightIdentity(line.maker, line.model, serial, shown(self._line.identity.get("firmware", "")))
 
+    def _refuse_impossible(self, settings: LightSettings) -> None:
+        """See `WatchedLight._refuse_impossible`."""
+        self._wanted(settings)
+
     def _apply(self, settings: LightSettings) -> LightSettings:
         """See `Light.apply`. A dark light stays dark."""
         wanted = self._wanted(settings)

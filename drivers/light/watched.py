@@ -7,11 +7,12 @@ protocol.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import ClassVar, Final, TypeVar
 
 from drivers.agreed_reading import read_until_agreed
-from drivers.errors import LightFault, ReplyTimeout, SettingRefused
+from drivers.errors import DriverError, LightFault, ReplyTimeout, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.link import Link
 from drivers.serial_port import LineSettings, OnOnePort, Port, ReopeningPort
@@ -58,6 +59,9 @@ class WatchedLight(OnOnePort, ABC):
     def identify(self) -> LightIdentity:
         """See `Light.identify`."""
 
+    def _refuse_impossible(self, settings: LightSettings) -> None:  # noqa: B027 - some lights refuse by themselves
+        """Raise SettingRefused for settings that no light of the family can make; nothing was sent."""
+
     @abstractmethod
     def _apply(self, settings: LightSettings) -> LightSettings:
         """Send all settings and read them back; see `Light.apply`."""
@@ -95,7 +99,9 @@ class WatchedLight(OnOnePort, ABC):
     def apply(self, settings: LightSettings) -> LightSettings:
         """See `Light.apply`."""
         self._applied, self._connections_checked = None, self._line.connections
-        self._applied = self._apply(settings)
+        self._refuse_impossible(settings)
+        with self._dark_after_error():
+            self._applied = self._apply(settings)
         return self._applied
 
     def on(self) -> None:
@@ -106,17 +112,14 @@ class WatchedLight(OnOnePort, ABC):
                 where=self._line.name,
                 remedy="Apply settings first that the light takes.",
             )
-        self._switch_on()
-        if not self.is_on():
-            reads, remedy = self._stays_dark()
-            raise LightFault(reads, where=self._line.name, remedy=remedy)
-        if others := self._other_settings():
-            self.off()
-            raise LightFault(
-                f"{others}. The {self.OUTPUT} was switched off again.",
-                where=self._line.name,
-                remedy="Check its supply, and that nobody operates it by hand; then begin again.",
-            )
+        with self._dark_after_error():
+            self._switch_on()
+            if not self.is_on():
+                reads, remedy = self._stays_dark()
+                raise LightFault(reads, where=self._line.name, remedy=remedy)
+            if others := self._other_settings():
+                remedy = "Check its supply, and that nobody operates it by hand; then begin again."
+                raise LightFault(f"{others}.", where=self._line.name, remedy=remedy)
         self._switched_on = True
 
     def off(self) -> None:
@@ -141,6 +144,21 @@ class WatchedLight(OnOnePort, ABC):
     def close(self) -> None:
         """See `Light.close`."""
         self._line.close()
+
+    @contextmanager
+    def _dark_after_error(self) -> Iterator[None]:
+        """Switch the light off after an error: it may shine with settings that nobody asked for, or half of them."""
+        try:
+            yield
+        except DriverError as error:
+            try:
+                with suppress(ReplyTimeout):  # a silent light is switched off too, but not another device
+                    self._line.bring_into_step()
+                self.off()
+            except DriverError as second:
+                what = f"{error.what} Whether the {self.OUTPUT} is off is not known: {second.what}"
+                raise type(error)(what, where=error.where, remedy=second.remedy) from error
+            raise
 
     def _make_dark(self) -> None:
         self._switch_off()

@@ -80,15 +80,21 @@ def test_errors_from_before_us_are_not_ours(bench) -> None:
     assert bench.open().apply(FLICKER) == FLICKER
 
 
-def test_a_light_whose_settings_were_refused_stays_dark(light, bench) -> None:
-    light.apply(FLICKER)
+def test_a_light_whose_settings_or_switch_were_refused_is_dark(light, bench) -> None:
+    """Also one that another program has left on, and one that comes on though it answers with an error."""
+    bench.device.receive(b"OUTP ON\n")
     with pytest.raises(SettingRefused):
         light.apply(replace(FLICKER, frequency_hz=1e12))
+    assert not bench.lit()
     with pytest.raises(SettingRefused, match="not switched on"):
         light.on()
-    assert not light.is_on()
     light.apply(FLICKER)
     light.on()
+    assert bench.lit()
+    bench.turn("OUTP ON", "OUTP ON;NONSENSE")
+    with pytest.raises(SettingRefused):
+        light.on()
+    assert not bench.lit()
 
 
 def test_an_output_that_does_not_come_on_is_a_fault(light, bench) -> None:
