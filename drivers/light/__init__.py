@@ -59,7 +59,7 @@ class LightSettings:
 
 
 class Light(Protocol):
-    """A flicker light. It is dark until ``on``, and after an error of ``apply`` or ``on``; ``off`` is always allowed."""
+    """A flicker light. It is dark until ``on``, and after ``apply`` or ``on`` has failed; ``off`` is always allowed."""
 
     def identify(self) -> LightIdentity:
         """Return the identity of the device.

@@ -59,7 +59,7 @@ class WatchedLight(OnOnePort, ABC):
     def identify(self) -> LightIdentity:
         """See `Light.identify`."""
 
-    def _refuse_impossible(self, settings: LightSettings) -> None:  # noqa: B027 - some lights refuse by themselves
+    def _refuse_impossible(self, settings: LightSettings) -> None:
         """Raise SettingRefused for settings that no light of the family can make; nothing was sent."""
 
     @abstractmethod
