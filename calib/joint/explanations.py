@@ -23,6 +23,7 @@ from calib.joint.amplitudes import ASIDE as ASIDE_AMPLITUDE
 from calib.joint.amplitudes import Pupil
 from calib.joint.doubts import Innovation
 from calib.joint.effects.by_turn import ASIDE
+from calib.joint.effects.collimator import CENTRE
 from calib.joint.evidence import log_evidence
 from calib.joint.hypotheses import NO_BOUND, OTHER_LENS, OTHER_OPTIMUM, OTHER_WAY, Hypothesis
 from calib.joint.knowledge import ASPECT, Statement
@@ -51,7 +52,7 @@ _DECIDED = 8.0
 _CONTRADICTED = 0.5
 #: An explanation with a smaller share adds nothing to the result.
 _LEAST = 1e-3
-#: Two searches ended at the same optimum if their focal lengths differ by less than so many sigma.
+#: Two searches ended at the same optimum if focal lengths, principal points and feet differ by less than so many sigma.
 _SAME = 0.2
 #: Readings with this standard uncertainty say nothing beside the stars.
 _NO_READING_DEG = 1.0
@@ -113,9 +114,10 @@ def _at_all_optima(views: Sequence[View], options: CalibrationOptions) -> list[_
     """Return the views by each optimum that is another one: a search from another start may end at the same."""
     first, *others = optima(views, options)
     explanations = [_Explanation(modes_of(first), 0.0)]
-    sigmas = np.sqrt(np.diag(first.solution.covariance)[:2])
+    at = first.marginal.problem.bench.layout.places((*PINHOLE, *CENTRE))
+    sigmas = np.sqrt(np.diag(first.solution.covariance)[at])
     for other in others:
-        apart = np.abs(other.state.shared[:2] - first.state.shared[:2]) / sigmas
+        apart = np.abs(other.state.shared[at] - first.state.shared[at]) / sigmas
         if apart.max() > _SAME:
             with suppress(np.linalg.LinAlgError):
                 there = modes_of(other)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -11,7 +11,8 @@ from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.effects.effect import Effect, RandomBlock, Row, Turned
 from calib.model import result_parts as rows
-from calib.model.lens import R8
+from calib.model.camera import PINHOLE
+from calib.model.lens import R8, distort_with_jacobians
 
 #: Errors |x|^2 e of the image that turn with the camera: thin prism distortion of the lens (Weng et al., 1992), or what
 #: misaligned collimators do to a pupil that turns. Without them p1 and p2 would take these, and move cx and cy.
@@ -24,6 +25,8 @@ DRIFT = "drift"
 #: and the power of the tangent, or angle, that it has.
 _LENS_RATIOS = {"k1": (1.0, 2), "k2": (0.4, 4), "k3": (0.15, 6), R8: (0.05, 8)}
 _LENS_RATIOS |= {f"kb{n}": (ratio, 2 * n) for n, ratio in enumerate((1.0, 0.4, 0.15, 0.05), start=1)}
+#: Cosine of the largest angle to the camera's axis at which a field still follows an error of its image.
+_LEAST_COSINE = 0.3
 _ROW = Row(rows.LENS, "B", "expected sizes of lens coefficients")
 
 
@@ -58,9 +61,10 @@ class TurningErrors(Effect):
         return PRISM if "p1" in self.pose.camera else (*PRISM, *DECENTRING)
 
     def fill(self, columns: Array, poses: Turned) -> None:
-        for k, name in enumerate(self.names):
-            shape = partial(_prism if name in PRISM else _decentring, poses.turns, poses.axes[:, k % 2])
-            columns[:, self.pose.field, k] = self.pose.fields.shape(shape)
+        errors = [partial(error, axis) for error in (_prism, _decentring) for axis in np.eye(2)]
+        errors = errors[: len(self.names)]
+        fields = self.pose.fields.shape(partial(_on_target, poses, self.pose.camera, errors))
+        columns[:, self.pose.field] = fields.transpose(1, 2, 0)
 
     def priors(self) -> Sequence[RandomBlock]:
         decentred = self.names[len(PRISM) :]
@@ -74,8 +78,10 @@ class Drift(Effect):
     names = (DRIFT,)
 
     def fill(self, columns: Array, poses: Turned) -> None:
-        from_axis = self.pose.fields.shape(partial(np.add, -poses.turns[:, None]))
-        columns[:, self.pose.field, 0] = poses.order[:, None] * from_axis
+        from_axis = partial(_on_target, poses, self.pose.camera, [lambda x: x])
+        columns[:, self.pose.field] = (poses.order[:, None] * self.pose.fields.shape(from_axis)[0])[
+            :, :, None
+        ]
 
 
 def _alike(names: tuple[str, ...], amplitude: str) -> RandomBlock:
@@ -83,13 +89,26 @@ def _alike(names: tuple[str, ...], amplitude: str) -> RandomBlock:
     return RandomBlock(_ROW, names, ((amplitude, np.eye(len(names))),))
 
 
-def _prism(turns: Array, axes: Array, h: Array) -> Array:
-    """Return (n, N, 2) the fields |x|^2 e of images that are turned, on the target. h: (N, 2)."""
-    turned = h - turns[:, None]
-    return np.asarray((turned * turned).sum(axis=2, keepdims=True) * axes[:, None])
+def _on_target(
+    poses: Turned, camera: Sequence[str], errors: Sequence[Callable[[Array], Array]], h: Array
+) -> Array:
+    """Return (K, n, N, 2) the fields on the target that displace the image by each of K errors. h: (N, 2)."""
+    turned = poses.rotations
+    inside = np.column_stack([h, np.ones(len(h))]) @ turned.transpose(0, 2, 1)
+    depth = np.maximum(inside[:, :, 2:], _LEAST_COSINE)
+    x = inside[:, :, :2] / depth
+    slopes = (turned[:, None, :2, :2] - x[..., None] * turned[:, None, 2:, :2]) / depth[..., None]
+    image, by_x, _ = distort_with_jacobians(x.reshape(-1, 2), dict.fromkeys(camera[len(PINHOLE) :], 0.0))
+    back = np.linalg.inv(by_x.reshape(slopes.shape) @ slopes)
+    image = image.reshape(x.shape)
+    return np.array([(back @ error(image)[..., None])[..., 0] for error in errors])
 
 
-def _decentring(turns: Array, axes: Array, h: Array) -> Array:
-    """Return (n, N, 2) the fields 2 (x e) x of images that are turned, on the target. h: (N, 2)."""
-    turned = h - turns[:, None]
-    return np.asarray(2.0 * (turned @ axes[:, :, None]) * turned)
+def _prism(axis: Array, x: Array) -> Array:
+    """Return |x|^2 e at places x of the image (..., 2)."""
+    return np.asarray((x * x).sum(axis=-1, keepdims=True) * axis)
+
+
+def _decentring(axis: Array, x: Array) -> Array:
+    """Return 2 (x e) x at places x of the image (..., 2)."""
+    return np.asarray(2.0 * (x @ axis)[..., None] * x)

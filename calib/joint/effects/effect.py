@@ -120,6 +120,13 @@ class Turned:
         """(n,) of the turns."""
         return np.asarray(1.0 / np.sqrt(1.0 + (self.turns**2).sum(axis=1)))
 
+    @cached_property
+    def rotations(self) -> Array:
+        """(n, 3, 3) camera <- target."""
+        across = -(self.axes @ self.turns[:, :, None])
+        axis = np.concatenate([self.turns, np.ones((len(self.turns), 1))], axis=1) * self.cosines[:, None]
+        return np.concatenate([np.concatenate([self.axes, across], axis=2), axis[:, None]], axis=1)
+
     @property
     def order(self) -> Array:
         """(n,) from -1/2, the first pose, to 1/2, the last: times would make each replay of a run another result."""

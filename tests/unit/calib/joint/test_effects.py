@@ -8,6 +8,7 @@ from calib.joint.adjust import adjust
 from calib.joint.amplitudes import Lever, Pupil, hyperprior
 from calib.joint.effects import EFFECTS
 from calib.joint.effects.by_turn import Along, GimbalAside, OwnByTurn
+from calib.joint.effects.camera import TurningErrors
 from calib.joint.effects.collimator import COMMON_PLACES, FIELD, Changes, PoseFields
 from calib.joint.effects.effect import Circumstances, PoseBasis, Turned
 from calib.joint.effects.rim import NUMBER, Rim
@@ -15,7 +16,9 @@ from calib.joint.fields import FieldBasis
 from calib.joint.layout import Layout
 from calib.joint.prior import RandomPrior
 from calib.joint.reported import as_seen
+from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings
+from calib.model.rotation import exp_map
 from calib.model.type_b_terms import TypeBTerm
 from tests.support.drawn_benches import NINE, draw_bench
 from tests.unit.calib.conftest import Bench
@@ -59,6 +62,25 @@ def test_a_hand_brings_what_a_gimbal_has_not():
     assert not held.names_of(Rim)
     assert walks.names_of(Rim) == by_hand.names_of(Rim) != ()
     assert len(walks.own.places) == len(held.own.places) + NUMBER + 2
+
+
+@pytest.mark.parametrize("lens", [("k1", "p1"), ("kb1",)])
+def test_an_error_of_the_lens_moves_the_image_by_itself_however_far_the_camera_is_turned(lens):
+    """A thin prism, |x|^2 e, of a fisheye lens was up to twice as large at 35 degrees, and moved cy by 1.3 U."""
+    rotations = exp_map(np.array([[0.0, 0.6, 0.0], [0.35, -0.3, 0.2]]))
+    poses = Turned(rotations[:, 2, :2] / rotations[:, 2, 2:], rotations[:, :2, :2], np.zeros((2, 2)))
+    basis, points = FieldBasis((0.0, 0.0, 250.0), 40.0), np.array([[0.0, 0.0, 250.0], [20.0, -25.0, 250.0]])
+    effect = TurningErrors(PoseBasis(("fx", "fy", "cx", "cy", *lens), basis), layout(Pupil.HELD).bench)
+    columns = np.zeros((2, effect.pose.size, len(effect.names)))
+    effect.fill(columns, poses)
+    camera = CameraModel(1e3, 1e3, 0.0, 0.0, (1280, 720), dict.fromkeys(lens, 0.0))
+    for rotation, column in zip(rotations, columns[:, effect.pose.field, 0], strict=True):
+        displaced = 0.25 * basis.polynomials(points[:, :2]) @ column.reshape(2, -1).T  # by 1e-3 of the radius
+        before, after = (
+            camera.project((points + far) @ rotation.T) for far in (0.0, np.pad(displaced, ((0, 0), (0, 1))))
+        )
+        prism = ((before / 1e3) ** 2).sum(axis=1)
+        assert after - before == pytest.approx(np.column_stack([prism, 0.0 * prism]), rel=0.02, abs=0.01)
 
 
 def test_the_stated_radius_is_the_length_that_a_camera_sees():
