@@ -24,6 +24,8 @@ gc.disable()
 # Tests of Ctrl-C rely on Python's own handler.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup: what a test starts does not ignore it
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 # No test is timed: machines are shared, and the first call of a compiled function takes seconds.
 settings.register_profile("starbench", deadline=None)

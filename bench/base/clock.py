@@ -236,9 +236,10 @@ def stop_on_signals(request_stop: Callable[[str], None], *, received: int = 0) -
 
 @contextmanager
 def stopping_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Let a function handle SIGINT, SIGTERM and SIGHUP during the block. Only for the main thread."""
+    """Let a function handle SIGINT, SIGTERM and SIGHUP during the block; not SIGHUP under nohup. Main thread only."""
     numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]
-    before = {number: signal.signal(number, handler) for number in numbers}
+    heard = (n for n in numbers if n == signal.SIGINT or signal.getsignal(n) is not signal.SIG_IGN)
+    before = {number: signal.signal(number, handler) for number in heard}
     try:
         yield
     finally:

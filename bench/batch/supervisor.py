@@ -43,6 +43,7 @@ _HIGH_LOAD = 4.0
 """A load of more than this for each processor is told as a possible cause of a silence."""
 _ENDS = {0: "finished", 3: "aborted", 4: "finished"}
 """How a run ended, by the exit status of its process; 4: it finished, and does not keep its limits."""
+_STOPPED = 128 + signal.SIGINT  # Before its run began, or by the third Ctrl-C
 _FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", "SIGPWR"})
 """Signals that a process does not get by its own error; a lack of memory also sends SIGKILL, and is told apart."""
 
@@ -97,6 +98,8 @@ def supervise(
     if silent_s:
         return _hung(silent_s, devices)
     status = worker.process.returncode
+    if status == _STOPPED:
+        return WorkerEnd("died", "by SIGTERM or Ctrl-C", 0.0, devices, outside=True)
     if status < 0:
         name = signal.Signals(-status).name
         why, outside = f"by {name}", name in _FROM_OUTSIDE
@@ -148,7 +151,7 @@ class _Child:
 
     def killed(self) -> bool:
         """Whether it ended by a signal, or may have: then nobody has made its devices safe."""
-        return self.process.returncode < 0
+        return self.process.returncode < 0 or self.process.returncode == _STOPPED
 
 
 @dataclass

@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from bench.base.clock import reliable_interrupts
 from bench.base.encoding import clock_text
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
@@ -69,7 +68,7 @@ def calibrate_each(
         if progress.due():
             progress.show(_progress_text(counts, left_s))
 
-    with reliable_interrupts(), ExitStack() as stack:
+    with ExitStack() as stack:
         stack.callback(who.close)
         places = find_places([str(place) for place in paths])
         key = None if output is None or table_only else key_or_draft()

@@ -169,9 +169,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:
-    """Run a command; print its error, if it raises one, and return the exit status."""
+    """Run a command, which SIGTERM ends as Ctrl-C does; print its error, if any, and return the exit status."""
+    from bench.base.clock import reliable_interrupts
+
     try:
-        status = command()
+        with reliable_interrupts():
+            status = command()
     except (click.exceptions.Abort, KeyboardInterrupt):
         click.echo("Stopped.", err=True)
         return 128 + 2

@@ -12,7 +12,6 @@ from typing import Any, cast
 
 import click
 
-from bench.base.clock import reliable_interrupts
 from bench.base.encoding import clock_text, printable
 from bench.base.entry_points import WORKERS as BROUGHT
 from bench.base.entry_points import ExtraMissing, load, stale_remark
@@ -76,7 +75,7 @@ def kept_work(
     workers: Workers, folder: Path | None, file: str, line: CountLine, done: str
 ) -> Iterator[KeptRows | None]:
     """Yield what keeps done pieces of work in a folder, None without one; an interruption is told with their number."""
-    with reliable_interrupts(), ExitStack() as stack:
+    with ExitStack() as stack:
         stack.callback(workers.close)
         kept = stack.enter_context(KeptRows(folder, file)) if folder is not None else None
         try:

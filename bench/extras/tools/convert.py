@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.base.clock import reliable_interrupts
 from bench.base.errors import UsageError
 from bench.commands.options import AnyPath, EventFile, NewFile, OutputFolder, command
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
@@ -100,11 +99,10 @@ def _convert_one(source: Path, output: Path, kind: Kind, choices: ReadingChoices
 
     files = source.rglob("*") if source.is_dir() else [source]
     line = CountLine(sum(file.stat().st_size for file in files) // 1_000_000, "MB read")
-    with reliable_interrupts():
-        try:
-            written = event_conversion.convert(source, output, kind, choices, progress=line.show_share)
-        finally:
-            line.clear()
+    try:
+        written = event_conversion.convert(source, output, kind, choices, progress=line.show_share)
+    finally:
+        line.clear()
     _say(source, output, asdict(written))
     return 0
 

@@ -63,6 +63,16 @@ def test_the_third_ctrl_c_ends_the_process_at_once():
     assert reasons == ["stopped by Ctrl-C", "SIGTERM received"]
 
 
+def test_a_hang_up_that_nohup_ignores_stops_nothing():
+    reasons, before = [], signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_on_signals(reasons.append):
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert reasons == []
+
+
 def test_all_who_wait_are_woken_and_what_was_taken_back_wakes_nobody():
     clock = BenchClock()
     clock.interrupt("door")
@@ -115,15 +125,16 @@ def test_an_interrupt_that_falls_into_clearing_up_is_raised_again_in_a_backgroun
     assert sys.unraisablehook is hook
 
 
-def test_being_ended_breaks_off_as_an_interrupt_does():
-    def work():
-        os.kill(os.getpid(), signal.SIGTERM)
-        threading.Event().wait(60)
+ENDED = """
+import signal
+from bench.commands import cli
+cli.cli.main = lambda **_: signal.raise_signal(signal.SIGTERM)
+cli.main([])
+"""
 
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), reliable_interrupts():
-        work()
-    assert signal.getsignal(signal.SIGTERM) is before
+
+def test_every_command_that_is_ended_clears_up_as_after_an_interrupt():
+    assert python("-c", ENDED, status=130).stderr == "Stopped.\n"
 
 
 def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):

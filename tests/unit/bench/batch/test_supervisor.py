@@ -25,8 +25,6 @@ def test_a_worker_that_cannot_be_started_has_failed_and_the_night_may_go_on(tmp_
     ("name", "outside"), [("KILL", True), ("TERM", True), ("HUP", True), ("SEGV", False), ("ABRT", False)]
 )
 def test_a_signal_from_outside_is_told_from_an_error_of_the_worker(tmp_path, name, outside):
-    if signal.getsignal(getattr(signal, f"SIG{name}")) == signal.SIG_IGN:
-        pytest.skip(f"SIG{name} is ignored here, as under nohup, and so by every process that is started")
     command = ["sh", "-c", f"ulimit -c 0; kill -{name} $$; sleep 9"]
     end = supervise(command, tmp_path / "run", tmp_path / "log", BenchClock(), lambda _: None)
     assert (end.how, end.why, end.outside) == ("died", f"by SIG{name}", outside)
