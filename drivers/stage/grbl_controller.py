@@ -299,8 +299,8 @@ class GrblController(Link):
     def _wait_for_boot(self) -> None:
         try:
             report = repeat(self._query_status_once, tries=_BOOT_TRIES)
-            if not report.moving and report.state not in {"Idle", "Alarm"}:
-                self.wake()  # held, asleep or in check mode by another program
+            if report.state not in {"Idle", "Alarm", *grbl_protocol.MOVING_STATES}:
+                self.wake()  # held (perhaps not at rest yet), asleep or in check mode by another program
         except (ReplyTimeout, MoveFailed):
             # A board that moves by jog or program answers ?. A mute one waits for a reset after a limit, or is homing
             # for a program that has ended. This driver has no reference yet, so a reset loses nothing.

@@ -30,7 +30,7 @@ BLOCKING_STATES = {
     "Starting": "starting",
 }
 """Meanings of the states in which the driver must not start a move."""
-_MOVING_STATES = frozenset({"Jog", "Run", "Home"})
+MOVING_STATES = frozenset({"Jog", "Run", "Home"})
 _MOVING_SUBSTATES = frozenset({("Hold", 1), ("Door", 2), ("Door", 3), ("Door", 4)})
 
 _ALARMS = {
@@ -185,7 +185,7 @@ class StatusReport:
     @property
     def moving(self) -> bool:
         """Whether any axis moves."""
-        return self.state in _MOVING_STATES or (self.state, self.substate) in _MOVING_SUBSTATES
+        return self.state in MOVING_STATES or (self.state, self.substate) in _MOVING_SUBSTATES
 
     def position(self, place: int, where: str) -> float:
         """Return the machine position, in the board's unit, of the axis at a place: 0 for X, 1 for Y ..."""

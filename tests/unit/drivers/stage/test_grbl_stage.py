@@ -181,6 +181,14 @@ def test_a_board_that_is_mute_at_opening_is_reset(bench) -> None:
     stage.move_to({"pan": -9.0})
 
 
+def test_a_board_that_is_held_is_reset_before_it_is_asked_anything_else(bench) -> None:
+    """Also one that has not come to rest yet: a held board answers no line."""
+    bench.report_as("Hold:1")
+    bench.line.before = lambda data: bench.change(lambda line: line) if data == RESET else None
+    bench.open()
+    assert bench.line.sent[:2] == [b"?", RESET]
+
+
 def test_a_board_that_stays_mute_is_told_with_every_cause(bench, monkeypatch) -> None:
     monkeypatch.setattr(grbl_controller, "WAKE_SILENCES", 3)
     bench.line.lose = lambda _request: True
