@@ -49,6 +49,7 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     called("verify", folder, home=home)
 
 
+@pytest.mark.slow  # tests/unit/bench/run/test_control.py aborts in one process
 def test_an_abort_from_another_terminal_ends_safely_and_the_run_can_be_resumed(home, tmp_path, process):
     folder = tmp_path / "run"
     wait_for(process, folder, entering("slewing", 2))

@@ -70,6 +70,7 @@ def test_a_notebook_reads_the_run_and_finds_its_stars_again_without_its_results(
     assert (np.diff([pose.view.recorded_s for pose in run.poses]) > 0.0).all()
 
 
+@pytest.mark.slow  # test_limits.py calibrates the recordings of a run again
 def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, home):
     answer, _, folder = finished
     captures = sorted((folder / "captures").iterdir())

@@ -9,6 +9,7 @@ from running import called, results
 UNTIL = f"{{expanded_fx_px: 0.001, at_most: 4, start: {THREE}}}"
 
 
+@pytest.mark.slow  # tests/unit/bench/run/test_until.py rehearses the same
 def test_it_measures_until_its_bound_and_the_report_shows_the_course(tmp_path, home):
     sequence, station = write_until(tmp_path / "s.yaml", UNTIL), write_station(tmp_path / "b.yaml")
     run = tmp_path / "run"

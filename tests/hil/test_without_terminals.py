@@ -105,6 +105,7 @@ def test_a_run_goes_over_tcp_from_a_station_that_says_nothing_of_it(bare, tmp_pa
     assert [line["accepted"] for line in journal(folder) if line["event"] == "attempt_checked"] == [True] * 3
 
 
+@pytest.mark.slow  # tests/unit/bench/base/test_progress_and_prompt.py answers without a run
 def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tmp_path) -> None:
     import pty
 

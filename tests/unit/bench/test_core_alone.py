@@ -44,8 +44,6 @@ def test_the_core_lists_plans_and_draws(core):
     assert "resume" in core("--help")
     assert "Three poses" in core("plan", "three_pose", "-s", "simulated")
     core("target", "-s", "simulated", "-o", "target.svg")
-    core("station", "new", "bench.yaml", "--stand-ins", "keysight")
-    core("keys", "show")
 
 
 @pytest.mark.parametrize(
@@ -70,6 +68,8 @@ def test_what_needs_an_extra_says_which(core, words, extra):
 @pytest.mark.slow
 @pytest.mark.timeout(1500)  # the copy compiles its loops
 def test_the_core_runs_verifies_and_calibrates(core):
+    core("station", "new", "bench.yaml", "--stand-ins", "keysight")
+    core("keys", "show")
     core("run", "three_pose", "-s", "simulated", "--seed", "1", "-o", "runs/one")
     assert "sealed" in core("resume", "runs/one", status=1)
     assert "finished" in core("status", "runs/one")

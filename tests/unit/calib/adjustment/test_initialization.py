@@ -176,7 +176,7 @@ def test_one_view_of_a_known_collimator_begins_at_its_camera(bench):
 def test_views_that_do_not_constrain_are_named(bench, poses, reason, noise_px):
     views = bench.views(np.random.default_rng(31), noise_px, poses=poses)
     with pytest.raises(DegenerateViews, match=reason):
-        calibrate(views)
+        calibrate([view.part(np.arange(len(view)) % 4 == 0) for view in views])
 
 
 @pytest.mark.slow

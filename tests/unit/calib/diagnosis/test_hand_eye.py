@@ -269,8 +269,7 @@ def test_a_scale_that_the_focal_length_or_what_is_stated_explains_is_no_fault():
             ((-1, 1, -1), "roll and of one other axis"),
             ((1, 1, 1), ""),
             ((-1, -1, 0), ""),  # a camera mounted upside down
-        ],
-        2,
+        ]
     ),
 )
 def test_a_wrong_sign_is_named(signs, axes):

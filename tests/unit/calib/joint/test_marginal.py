@@ -292,7 +292,8 @@ def test_statements_that_agree_are_not_doubted(result):
 
 @pytest.mark.parametrize("times", [1.01, *(slow(times) for times in (0.92, 1.08))])
 def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right(views, bench, times):
-    result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05, length="seen")))
+    few = [view.part(np.arange(len(view)) % 3 == 0) for view in views]
+    result = calibrate(few, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05, length="seen")))
     certificate = next(witness for witness in result.witnesses if witness.name == CERTIFICATE)
     assert abs(certificate.innovation) > 5.0
     assert certificate.fault_probability > DOUBTED

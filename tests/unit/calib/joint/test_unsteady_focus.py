@@ -39,10 +39,10 @@ def _answer(shares, seed, known="cr", profile="like-bench", times_s=60.0 * _POSE
 @pytest.mark.parametrize(
     ("kind", "shares", "seed", "station"),
     [
-        (kinds.FOCUSED, _RING, 502, ("cr", "like-bench")),
+        (kinds.FOCUSED, _RING, 502, ("0", "like-bench")),
+        pytest.param(kinds.FOCUSED, _RING, 502, ("cr", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUS_PLAYS, _PLAY, 506, ("cr", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUS_CREEPS, 1e-3 * _POSES, 3, ("cr", "like-bench"), marks=pytest.mark.slow),
-        pytest.param(kinds.FOCUSED, _RING, 502, ("0", "like-bench"), marks=pytest.mark.slow),
         pytest.param(kinds.FOCUS_CREEPS, _DRIFT, 509, ("c", "S1"), marks=pytest.mark.slow),
     ],
 )

@@ -111,6 +111,7 @@ def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     assert (cause.kind, shifts_of(cause)) == (kinds.IDS, {("pose 3", -1, 0)})
 
 
+@pytest.mark.slow  # test_sound_views_give_no_note shows three of them
 @settings(max_examples=1, deadline=None)
 @given(count=st.integers(2, 8), seed=st.integers(0, 999), noise_px=st.sampled_from([0.01, 0.05, 0.3]))
 def test_sound_views_are_not_doubted(count, seed, noise_px):
