@@ -38,7 +38,7 @@ steps:
   - light
   - repeat: {times: 4, steps: [{repeat: {poses: few, steps: [move, {record: {attempts: 3, on_failure: skip}}]}}]}
   - light: off
-  - solve
+  - solve: {model: spherical, distortion: [k1]}
   - report
 """
 

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("calibrated_once")
 def results_once(points, tmp_path_factory, key):
     folder = tmp_path_factory.mktemp("recalculated") / "out"
     with mock.patch("bench.solve.solution.calibrate", kept_calibration):
-        result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
+        result = calibrate_paths([points], OfflineOptions(model="spherical", image_size=(1280, 720)))
     write_offline_results(result, "out", folder, key)
     return folder
 
@@ -59,7 +59,7 @@ def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_
         return replace(calibration, covariance=calibration.covariance / 100)
 
     with mock.patch("bench.solve.solution.calibrate", better):
-        result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
+        result = calibrate_paths([points], OfflineOptions(model="spherical", image_size=(1280, 720)))
     write_offline_results(result, "forged", tmp_path / "forged", key)
     assert checked(tmp_path / "forged", signers, again=False).ok
     verification = checked(tmp_path / "forged", signers)
@@ -78,7 +78,7 @@ def test_where_the_sources_are_not_what_they_were_the_numbers_are_not_compared(
     points, tmp_path, signers, key, harm
 ):
     copy = Path(shutil.copytree(points, tmp_path / "points"))
-    result = calibrate_paths([copy], OfflineOptions(image_size=(1280, 720)))
+    result = calibrate_paths([copy], OfflineOptions(model="spherical", image_size=(1280, 720)))
     write_offline_results(result, "out", tmp_path / "out", key)
     HARM[harm](copy / "left.csv")
     verification = checked(tmp_path / "out", signers)
