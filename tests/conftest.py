@@ -38,6 +38,35 @@ def pytest_configure(config: pytest.Config) -> None:
         remove_stale_kernels()
 
 
+LONG_S = 0.25
+"""A test that took more when it last ran on this computer has the mark `long`."""
+_LONG_TESTS = "starbench/long"
+_took_s: dict[str, float] = {}
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the tests that were long; those that never ran here are not known to be."""
+    cache = getattr(config, "cache", None)  # None with -p no:cacheprovider
+    long_tests = set(cache.get(_LONG_TESTS, [])) if cache else set()
+    for item in items:
+        if item.nodeid in long_tests:
+            item.add_marker("long")
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Add up the time of a test, with what is made for it."""
+    _took_s[report.nodeid] = _took_s.get(report.nodeid, 0.0) + report.duration
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Keep the names of long tests; the first of several processes hears of those of all."""
+    cache = getattr(session.config, "cache", None)
+    if cache and not hasattr(session.config, "workerinput"):
+        before = set(cache.get(_LONG_TESTS, [])) - _took_s.keys()
+        now = {name for name, took_s in _took_s.items() if took_s > LONG_S}
+        cache.set(_LONG_TESTS, sorted(before | now))
+
+
 def pytest_collection_finish() -> None:
     """From here on Python looks for cycles again, among new objects."""
     gc.freeze()

@@ -100,7 +100,9 @@ def test_a_state_without_a_wrong_passport_that_cannot_be_found_is_no_crash(bench
     def without(*_):
         raise np.linalg.LinAlgError
 
-    views = [view.part(np.arange(len(view)) % 4 == 0) for view in bench.views(np.random.default_rng(66), 0.02)]
+    views = [
+        view.part(np.arange(len(view)) % 4 == 0) for view in bench.views(np.random.default_rng(66), 0.02)
+    ]
     wrong = Passport(EXACT.names, EXACT.values + 25.0 * np.eye(3)[2], np.diag([0.05, 0.05, 0.1]) ** 2)
     monkeypatch.setattr("calib.joint.posterior.optimum_with_faults", without)
     assert calibrate(views, with_passport(wrong)).camera.fx > 0.0
