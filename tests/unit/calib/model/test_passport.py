@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from slow_cases import slow
 
 from calib import CalibrationOptions, Passport, calibrate
 from calib.errors import InputMismatch
@@ -15,7 +16,7 @@ def with_passport(passport, **more):
     return CalibrationOptions(passport=passport, **more)
 
 
-@pytest.mark.parametrize(("count", "limit"), [(1, 1.5), (3, 0.5)])
+@pytest.mark.parametrize(("count", "limit"), [(1, 1.5), slow(3, 0.5)])
 def test_an_exact_passport_settles_the_focal_length(make_bench, count, limit):
     bench = make_bench()
     views = bench.views(np.random.default_rng(61), 0.05)[:count]
