@@ -345,6 +345,7 @@ def test_a_passport_whose_common_field_has_other_coefficients_is_refused(views, 
         calibrate(views[:1], CalibrationOptions("joint", passport=fewer))
 
 
+@pytest.mark.slow  # test_passport.py calibrates another camera, too
 def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere():
     line = drawn_result("polynomial", 3, 2, "passport")
     over = [abs(line["error"][name]) / line["U"][name] for name in ("fx", "cx", "cy", "corner")]

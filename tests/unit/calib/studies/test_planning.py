@@ -21,6 +21,7 @@ POSES = [
 ]
 
 
+@pytest.mark.slow  # the next test compares fx of three poses
 def test_the_forecast_is_what_a_calibration_then_states(bench):
     """Nine poses show that no hand moves the camera; fewer may leave that open, and then U is larger than expected.
 
