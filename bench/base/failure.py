@@ -46,8 +46,10 @@ class Failure:
     @classmethod
     def of(cls, error: BaseException) -> Failure:
         """Describe an error, with its own place and remedy where it has them."""
-        if isinstance(error, FORESEEN):
-            return cls(type(error).__name__, error.what, error.where, error.remedy)
+        if isinstance(error, FORESEEN):  # names of other programs stand in it, and write no line of their own
+            lines = [str(fault) for fault in getattr(error, "faults", ())]
+            what = "\n".join(map(printable_line, lines if len(lines) > 1 else [error.what]))
+            return cls(type(error).__name__, what, error.where, error.remedy)
         return cls(type(error).__name__, str(error), "", "This is a defect of the program. Please report it.")
 
     def to_dict(self) -> FailureData:

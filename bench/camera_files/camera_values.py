@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from bench.camera_files.forms import CameraForm, Lens, OpenCv
-from bench.camera_files.possible_camera import require_possible_camera
 from bench.camera_files.texts import OtherForm
 from calib.arrays import Array
 from calib.model.camera import PINHOLE, SKEW, CameraModel
@@ -32,11 +31,9 @@ def camera_of_form(
     """
     matrix = _matrix(form.matrix)
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    plain = CameraModel(fx, fy, cx, cy, size_of(form.image_size(), size))
-    require_possible_camera(plain)
     coefficients = _coefficients(form.coefficients, _lens(form, family))
     skew = {SKEW: float(matrix[0, 1])} if abs(matrix[0, 1]) > _LEAST_SKEW_PX else {}
-    camera = replace(plain, distortion={**coefficients, **skew})
+    camera = CameraModel(fx, fy, cx, cy, size_of(form.image_size(), size), {**coefficients, **skew})
     return _with_covariance(camera, form) if isinstance(form, OpenCv) else (camera, None)
 
 

@@ -83,7 +83,7 @@ class CameraForm(BaseModel):
     harmless: ClassVar[tuple[str, ...]] = ()
     lenses: ClassVar[Mapping[Any, Lens | None]] = {
         None: None
-    }  # By the model; None if it says nothing of the lens
+    }  # By the model; None: it does not state the lens
     matrix: Numbers  # 3 x 3, row after row, or fx fy cx cy
     coefficients: Numbers
     size: Numbers | None = _named("imagesize", "imagersize", "resolution", "cameraresolution", default=None)
@@ -221,7 +221,7 @@ def cameras_of(syntax: str, content: Values) -> Mapping[str, Values]:
     if syntax == "Python":
         return {"": _of_mrcal(content)}
     if syntax == "COLMAP":
-        return {number: _of_colmap(number, **camera) for number, camera in content.items()}
+        return {number: _of_colmap(**camera) for number, camera in content.items()}
     if content and all(map(_KALIBR.fullmatch, content)):
         return {name: camera if isinstance(camera, Mapping) else {} for name, camera in content.items()}
     if "M1" in content and "M2" in content:
@@ -244,7 +244,7 @@ def _of_mrcal(content: Values) -> Values:
     return {**others, "matrix": listed[:4], "coefficients": listed[4:]}
 
 
-def _of_colmap(number: str, *, model: str, width: str, height: str, params: str) -> Values:
+def _of_colmap(*, number: str, model: str, width: str, height: str, params: str) -> Values:
     """Return a camera of COLMAP by OpenCV's names: the first pixel has its centre at (0.5, 0.5) there."""
     if model not in _COLMAP_MODELS:
         raise OtherForm(
@@ -292,9 +292,8 @@ def form_of(syntax: str, values: Values) -> CameraForm:
         if "missing" not in kinds:
             extra = [names[str(fault["loc"][0])] for fault in faults if fault["type"] == "extra_forbidden"]
             unknown.append(f"{form.kind.format(syntax)} does not have {_listed(extra)}; ")
-    raise OtherForm(
-        f"{(unknown or ['it has none of the forms that are read; '])[0]}it holds {_listed(values)}"
-    )
+    why = (unknown or ["it has none of the forms that are read; "])[0]
+    raise OtherForm(f"{why}it holds {_listed(values)}")
 
 
 def _words_of(fault: ErrorDetails, names: Mapping[str, str]) -> str:

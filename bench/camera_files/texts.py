@@ -6,12 +6,11 @@ Files come from strangers: sizes and nesting are bounded, and no reader of anoth
 from __future__ import annotations
 
 import ast
-import json
 import re
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO
 from typing import Any, Final
 from xml.etree import ElementTree as ET
@@ -33,8 +32,11 @@ _NPZ = b"PK\x03\x04"
 _MRCAL = re.compile(r"['\"]lensmodel['\"]\s*:")
 _NUMBERS = re.compile(r"\[([-+.\deE,\s]*)\]")
 _SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
+_COMMENT = re.compile(r"^[ \t]*//.*$", re.MULTILINE)
 _COLMAP = re.compile(
-    r"^(\d+)[ \t]+([A-Z_]+)[ \t]+(\d+)[ \t]+(\d+)((?:[ \t]+[-+.\deE]+)+)[ \t]*$", re.MULTILINE
+    r"^(?P<number>\d+)[ \t]+(?P<model>[A-Z_]+)[ \t]+(?P<width>\d+)[ \t]+(?P<height>\d+)"
+    r"(?P<params>(?:[ \t]+[-+.\deE]+)+)[ \t]*$",
+    re.MULTILINE,
 )
 
 
@@ -69,11 +71,10 @@ def values_of(data: bytes) -> tuple[str, dict[str, Any]]:
 def _npz(data: bytes) -> dict[str, Any]:
     """Read the arrays of `np.savez`. Python objects, such as poses of several lengths, are never unpacked."""
     try:
-        with zipfile.ZipFile(BytesIO(data)) as archive:
-            if sum(member.file_size for member in archive.infolist()) > MOST_FILE_BYTES:
-                raise OtherForm("it is too large for a camera")
         with np.load(BytesIO(data), allow_pickle=False) as arrays:
-            return {name: _array(arrays, name) for name in arrays.files}
+            if sum(member.file_size for member in arrays.zip.infolist()) > MOST_FILE_BYTES:
+                raise OtherForm("it is too large for a camera")
+            return _once((name, _array(arrays, name)) for name in arrays.files)
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, tokenize.TokenError) as error:
         raise OtherForm("it is no complete file of np.savez") from error
 
@@ -81,35 +82,41 @@ def _npz(data: bytes) -> dict[str, Any]:
 def _array(arrays: Mapping[str, Any], name: str) -> Any:
     try:
         array = arrays[name]
-    except (
-        ValueError,
-        MemoryError,
-    ):  # numpy's answers to an object, to a torn array, and to one of too many numbers
+    except (ValueError, MemoryError):  # it holds objects, is torn, or claims too many numbers
         return None
-    return array.tolist() if isinstance(array, np.ndarray) else None
+    return array.tolist() if isinstance(array, np.ndarray) and array.size <= _MOST_ENTRIES else None
 
 
 def _json(text: str) -> dict[str, Any]:
+    """Read JSON, and the lines of comments that OpenCV writes into it."""
     try:
-        return _mapping(parse_json(text))
-    except json.JSONDecodeError as error:
-        raise OtherForm(f"it is no complete JSON: line {error.lineno}, column {error.colno}") from None
-    except ValueError as error:  # the sentences of `parse_json`
-        raise OtherForm(str(error)) from None
+        return _mapping(parse_json(_COMMENT.sub("", text)))
+    except ValueError as error:
+        raise OtherForm(f"it is no complete JSON: {error}") from None
 
 
 def _mrcal(text: str) -> dict[str, Any]:
     """Read mrcal's dictionary of Python."""
     try:
-        return _mapping(ast.literal_eval(text))
-    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+        read: Any = ast.parse(text, mode="eval").body  # of a dictionary
+        names, values = ([ast.literal_eval(part) for part in parts] for parts in (read.keys, read.values))
+    except (AttributeError, ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
         raise OtherForm("it is no complete dictionary of Python") from None
+    return _once(zip(names, values, strict=True))
 
 
 def _mapping(document: Any) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise OtherForm("it is no YAML, JSON or XML of names with values")
-    return {name if isinstance(name, str) else str(name): value for name, value in document.items()}
+    return _once(document.items())
+
+
+def _once(named: Iterable[tuple[Any, Any]]) -> dict[str, Any]:
+    """Return names with their values; or raise OtherForm, since of two values readers take one or the other."""
+    pairs = [(str(name), value) for name, value in named]
+    if len(dict(pairs)) < len(pairs):
+        raise OtherForm("it states a name twice")
+    return dict(pairs)
 
 
 def _yaml(text: str) -> dict[str, Any]:
@@ -136,8 +143,10 @@ def _as_text(listed: re.Match[str]) -> str:
 
 def _xml(text: str) -> dict[str, Any]:
     """Read OpenCV's XML: the names of elements are keys, and elements `_` are a list."""
+    if "<!DOCTYPE" in text:
+        raise OtherForm("it declares entities: a small file can hold gigabytes of them")
     try:
-        root = ET.fromstring(text)  # noqa: S314 - it fetches nothing, and expat bounds what entities grow to
+        root = ET.fromstring(text)  # noqa: S314 - it fetches nothing, and has no entities
     except ET.ParseError as error:
         raise OtherForm(f"it is no complete XML: line {error.position[0]}") from None
     if root.tag != "opencv_storage":
@@ -151,18 +160,15 @@ def _element(element: ET.Element, levels: int) -> Any:
     children = [(child.tag, _element(child, levels - 1)) for child in element]
     if element.find("_") is not None:
         return [value for _, value in children]
-    names = [name for name, _ in children]
-    if len(set(names)) < len(names):
-        raise OtherForm("it states a name twice")
-    return dict(children) if children else (element.text or "").strip()
+    return _once(children) if children else (element.text or "").strip()
 
 
 def _colmap(text: str) -> dict[str, Any]:
     """Read COLMAP's cameras.txt: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[] a line."""
-    return {
-        number: {"model": model, "width": width, "height": height, "params": listed}
-        for number, model, width, height, listed in _COLMAP.findall(text)
-    }
+    for line in text.split("\n"):
+        if line.strip() and not line.startswith("#") and not _COLMAP.match(line):
+            raise OtherForm(f"this line is no camera of COLMAP: {line[:40]!r}")
+    return _once((camera["number"], camera.groupdict()) for camera in _COLMAP.finditer(text))
 
 
 _SYNTAXES: Sequence[tuple[Callable[[str], Any], str, Callable[[str], dict[str, Any]]]] = (

@@ -26,7 +26,7 @@ from bench.evidence.seal import (
     list_files,
     read_manifest,
 )
-from bench.evidence.signers import Signer
+from bench.evidence.signers import PRINCIPAL, Signer
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import read_signature
 from bench.evidence.states import LARGEST_SEAL_BYTES, standing_of
@@ -49,7 +49,7 @@ _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
 _CANONICAL = {RESULTS: True, PLAN: True, SOURCES: True}
 """JSON files that the program writes in one form only; whether other letters than ASCII are escaped in them."""
-_PRINCIPAL = re.compile(r" -I (\S+) -n ")
+_PRINCIPAL = re.compile(rf" -I ({PRINCIPAL.pattern}) -n ")
 _MOST_INSTRUCTIONS = 1 << 20  # They have 3 kB
 
 

@@ -13,6 +13,7 @@ from camera_oracle import D5, D14, FISHEYE, FLAT_K, FOCAL_AND_CENTRE, SIZE, K, o
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.base.failure import Failure
 from bench.camera_files.reader import NotACamera, parse_camera
 
 
@@ -25,6 +26,7 @@ def file_storage(kind, content):
     storage = cv2.FileStorage(f".{kind}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for name, value in content.items():
         storage.write(name, np.array(value) if isinstance(value, list) else value)
+        storage.writeComment("as the sample does for its flags")
     return storage.releaseAndGetString()
 
 
@@ -301,6 +303,7 @@ FOREIGN = {
         "fps, intrinsic_type, intrinsics",
     ),
     "april": ("aprilCameraCalibration {\n    names = [ camera0000 ];\n}\n", "no YAML"),
+    "a name of two lines": ({**LISTS, "a\nSEALED": 0.1}, r"a\nSEALED"),
     "a coefficient under another name": ({**LISTS, "radial_distortion_3": 0.1}, "radial_distortion_3"),
     "no distortion": ({"K": K, "image_size": SIZE}, "K, image_size"),
     "the matrix under two names": ({**LISTS, "K": K}, "K"),
@@ -315,7 +318,6 @@ FOREIGN = {
     "zip": (b"PK\x03\x04\x14\x00", "np.savez"),
     "names of npz": (npz(k012=np.array([0.1])), "k012"),
 }  # fmt: skip
-ENTITIES = "".join(f'<!ENTITY e{at + 1} "{f"&e{at};" * 50}">' for at in range(6))
 SPOILT = {
     "plumb_bob with 8": (ros_yaml(D14[:8]), "5 coefficients, but coefficient 6 is 0.01"),
     "fisheye with 3": (ros_yaml(FISHEYE[:3], "equidistant"), "3 distortion coefficients"),
@@ -341,6 +343,9 @@ SPOILT = {
     "a name twice": (opencv_yaml(D5) + "image_width: 3\n", "line 15"),
     "a name in two ways": (opencv_yaml(D5) + "image_Width: 3\n", "image_width"),
     "a name of JSON twice": ('{"type": "pinhole", "type": "pinhole"}', "'type'"),
+    "a name of Python twice": (mrcal(D5).replace("'extrinsics'", "'imagersize'"), "twice"),
+    "a camera of COLMAP twice": (colmap("OPENCV", D5[:4]) * 2, "twice"),
+    "a camera of COLMAP that is not finite": (colmap("OPENCV", D5[:4]) + "2 PINHOLE 9 9 nan 1 1 1", "'2 PINHOLE 9 9 nan 1 1 1'"),
     "a name of XML twice": ("<opencv_storage><K>1</K><K>2</K></opencv_storage>", "twice"),
     "torn YAML": (opencv_yaml(D5)[:-4], "line 14"),
     "torn XML": (file_storage("xml", sample(D5))[:300], "no complete XML"),
@@ -349,9 +354,7 @@ SPOILT = {
     "torn npz": (npz()[:-100], "np.savez"),
     "npz of too many numbers": (npz_that_claims((10**18,)), "mtx"),
     "large npz": (npz(mtx=np.zeros(3_000_000)), "too large"),
-    "entities that grow": (
-        f'<!DOCTYPE a [<!ENTITY e0 "{"K" * 1000}">{ENTITIES}]><opencv_storage>&e6;</opencv_storage>', "no complete XML",
-    ),
+    "entities": ('<!DOCTYPE a [<!ENTITY e "1 1">]><opencv_storage><K>&e;</K></opencv_storage>', "entities"),
     "nested XML": ("<opencv_storage>" + "<a>" * 40_000 + "</a>" * 40_000 + "</opencv_storage>", "nested deeper"),
     "large XML": ("<opencv_storage>" + "<a>" * 400_000, "too large"),
     "nested YAML": ("%YAML:1.0\n---\na: " + "[" * 100_000, "no YAML"),
@@ -362,18 +365,16 @@ SPOILT = {
 def test_what_is_not_read_is_refused_with_its_names_or_the_fact_that_is_wrong(content, fact):
     with pytest.raises(NotACamera) as error:
         read(json.dumps(content) if isinstance(content, dict) else content)
-    assert fact in error.value.what
+    assert fact in Failure.of(error.value).what
     assert error.value.where == "f"
     assert error.value.remedy
     assert "zero" not in error.value.remedy
     assert error.value.exit_status == 2
 
 
-@pytest.mark.parametrize("name", ["openicc", "april", "Metashape"])
-def test_a_refusal_of_another_form_lists_the_forms_that_are_read(name):
-    content, _ = FOREIGN[name]
+def test_a_refusal_of_another_form_lists_the_forms_that_are_read():
     with pytest.raises(NotACamera) as error:
-        read(json.dumps(content) if isinstance(content, dict) else content)
+        read(FOREIGN["april"][0])
     for form in ("results.json", "OpenCV", "npz", "ROS", "Kalibr", "Metavision", "COLMAP", "mrcal"):
         assert form in error.value.remedy
 
