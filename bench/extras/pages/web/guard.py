@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import quote, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -182,10 +182,9 @@ class Guard:
             return HTMLResponse((Path(__file__).parent / "assets" / "sign_in.html").read_text("utf-8"))
         if request.method != "POST":
             return _refusal(405, "This is not possible here.", "Use the form.")
-        try:
+        given: Any = None
+        with suppress(UsageError):  # what is no token is a wrong one
             given = (await read_object(request)).get("token")
-        except UsageError as error:
-            return error_answer(Failure.of(error), 400)
         refusal = self._refusal_of(given if isinstance(given, str) else "", request)
         if refusal is not None:
             return refusal

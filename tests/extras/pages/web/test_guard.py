@@ -155,7 +155,7 @@ def test_a_wrong_token_is_refused(body):
 )
 def test_a_sign_in_that_is_no_plain_object_is_refused(body):
     client, own = _at_session_host()
-    assert client.post("/sign-in", content=body, headers=own).status_code == 400
+    assert client.post("/sign-in", content=body, headers=own).status_code == 403
 
 
 def _signs_in(client, token):
