@@ -319,9 +319,9 @@ def _history_of(run: Path) -> History:
 
 
 def _has_ended(run: Path) -> bool:
-    """Whether the journal of a run records an end, and therefore a safe bench; False if it cannot be read."""
+    """Whether the journal of a run records a safe end, or not even a begin; False if it cannot be read."""
     try:
-        return bool(_history_of(run).ended)
+        return bool((history := _history_of(run)).ended) or not history.started
     except BenchError:
         return False
 

@@ -99,22 +99,27 @@ def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "runs", "first"),
+    ("file", "text", "runs", "first", "died"),
     [
-        ("SHA256SUMS.sig", b"", ["run b-001"], "finished"),  # it was sealed as the batch was cut off
-        ("journal.jsonl", b"rotten\n", ["run b-001"], "failed"),
-        ("notes", b"", ["resume a-001", "run b-001"], "finished"),
+        ("SHA256SUMS.sig", b"", ["run b-001"], "finished", False),  # it was sealed as the batch was cut off
+        ("journal.jsonl", b"rotten\n", ["run b-001"], "failed", True),
+        ("journal.jsonl", b"", ["run a-001", "run b-001"], "finished", False),  # it was still starting
+        ("notes", b"", ["resume a-001", "run b-001"], "finished", True),
     ],
 )
-def test_a_run_that_was_cut_off_is_done_if_sealed_and_failed_if_unreadable(tmp_path, file, text, runs, first):
+def test_a_run_that_was_cut_off_is_done_if_sealed_and_failed_if_unreadable(
+    tmp_path, file, text, runs, first, died
+):
+    said: list[str] = []
     jobs = queue(("a", ""), ("b", ""))
     cut_off(tmp_path, jobs)
     (tmp_path / "runs" / "a-001" / file).write_bytes(text)
-    batch, workers = night(tmp_path, jobs)
+    batch, workers = night(tmp_path, jobs, say=said.append)
     summary = batch.run()
     assert hows(summary) == {"a-001": first, "b-001": "finished"}
     assert begun(workers) == runs
     assert (first == "failed") == ("journal" in summary["items"][0]["why"])
+    assert died == any("died" in line for line in said)
 
 
 def test_no_run_is_begun_after_the_time_is_over(tmp_path):
