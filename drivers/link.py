@@ -25,7 +25,7 @@ from drivers.errors import PortError, PortLost, ReplyError, ReplyGarbled, ReplyT
 from drivers.lateness import REMEDY as BUSY_REMEDY
 from drivers.lateness import Deadline, busy_text
 from drivers.serial_port import Port, Reopening
-from drivers.silence import KEPT, ONE_AT_A_TIME, Cause, known_cause, why_incomplete
+from drivers.silence import ECHO_REMEDY, KEPT, ONE_AT_A_TIME, Cause, known_cause, why_incomplete
 from drivers.wire_log import Direction, WireLog
 
 TRIES: Final = 3
@@ -89,12 +89,13 @@ def repeat(
 class ReplyReader:
     """Reads the reply to one request, whole within ``deadline_s``, for ``read_reply``; this thread holds the line.
 
-    ``unknown`` is the request, if the device does not know it should it be silent: it has just answered another one.
+    ``unknown``: should the device be silent, it does not know the request, because it has just answered another one.
     """
 
-    def __init__(self, link: Link, deadline_s: float, unknown: bytes = b"") -> None:
+    def __init__(self, link: Link, request: bytes, deadline_s: float, *, unknown: bool = False) -> None:
         self._link = link
-        self._unknown = unknown
+        self._request = request
+        self._unknown = request if unknown else b""
         self._deadline_s = deadline_s
         self._deadline = Deadline(deadline_s, link.name)
 
@@ -105,6 +106,9 @@ class ReplyReader:
             if line is None:
                 self._wait_for_more()
             elif not self._link.take_unsolicited(line):
+                if self._link.TELLS_ECHO and line.startswith(self._request):
+                    sent_back = f"the line sends back what it is sent: {self._request!r}."
+                    raise self._link.garbled_reply(sent_back, ECHO_REMEDY)
                 return line
 
     def read_exactly(self, count: int) -> bytes:
@@ -138,6 +142,8 @@ class Link(ABC):
     ``wire_log`` records every byte. While a thread holds ``lock``, no other thread can send.
     """
 
+    TELLS_ECHO: ClassVar[bool] = False
+    """Whether no reply of this protocol begins with its request, so that an echo can be told."""
     terminator: bytes = b"\n"
     """End of a line that the device sends."""
     GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
@@ -245,14 +251,14 @@ class Link(ABC):
         with self.lock:
             self._proven = False
             self.bring_into_step()
-            unknown = request if self._proven else b""
+            unknown = self._proven
             if deadline_s is None:
                 deadline_s = self.reply_s if self._urgent_reply_s is None else self._urgent_reply_s
             in_step_before = self._in_step
             # Whatever ends this exchange early, an interrupt included, leaves a reply unread.
             self._in_step = False
             self.write(request)
-            reply = read_reply(ReplyReader(self, deadline_s, unknown))
+            reply = read_reply(ReplyReader(self, request, deadline_s, unknown=unknown))
             self._in_step = in_step_before
             return reply
 

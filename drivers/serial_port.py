@@ -198,7 +198,7 @@ class SerialPort:
 
 def port_lost(name: str, why: str) -> PortLost:
     """Build the error of a port, or of a connection on a network, that was open and is gone."""
-    more = ONE_AT_A_TIME if "://" in name else ""
+    more = ONE_AT_A_TIME if "://" in name else " Perhaps another program reads from it, too."
     remedy = f"Check that the device is powered and plugged in, then resume.{more}"
     return PortLost(f"the port is gone; {why}", where=name, remedy=remedy)
 

@@ -37,6 +37,7 @@ _CAUSES: Final = (
         ),
     ),
 )
+ECHO_REMEDY: Final = "Switch the echo off: in an RS-485 adapter, or a FluidNC (Ctrl-L in a terminal)."
 _ENDS: Final = {b"\r": "CR", b"\n": "LF"}
 
 

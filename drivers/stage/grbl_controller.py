@@ -59,6 +59,7 @@ class GrblController(Link):
     axes in their order, are known once ``query_build_info`` was answered.
     """
 
+    TELLS_ECHO = True
     quiet_s = 0.1
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:

@@ -46,6 +46,7 @@ class ZaberChain(Link):
     ``devices`` are the addresses that this driver uses; others in the chain are stopped by ``stop_all`` only.
     """
 
+    TELLS_ECHO = True
     SILENT_REMEDY = (
         f"{Link.SILENT_REMEDY} A device that was set to the binary protocol (9600 baud) stays silent: set it to ASCII"
         " with Zaber Launcher."

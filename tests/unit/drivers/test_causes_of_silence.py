@@ -72,6 +72,21 @@ def test_another_firmware_in_the_place_of_grbl_is_told_by_its_answer(firmware, w
     assert "Grbl 1.1" in caught.value.remedy
 
 
+@pytest.mark.parametrize("kind", [GrblBench, ZaberBench])
+def test_a_line_that_echoes_is_told_and_no_cable_is_doubted(kind) -> None:
+    """Adapters of two-wire RS-485 do so (libmodbus, issue 380), and a FluidNC after its terminal (issue 617)."""
+    bench = kind()
+
+    def echo(sent: bytes) -> None:
+        bench.line.ready += sent
+
+    bench.line.before = echo
+    with pytest.raises(ReplyGarbled) as caught:
+        bench.open()
+    assert "echo" in caught.value.remedy
+    assert "cable" not in caught.value.remedy
+
+
 def test_two_zaber_devices_with_one_address_are_told() -> None:
     """All devices have the address 1 when they come from the factory, and each passes on what it hears."""
     bench = ZaberBench()
