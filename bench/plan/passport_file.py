@@ -58,7 +58,7 @@ class _Form(BaseModel):
     values: list[_Number]
     covariance: list[list[_Number]]
     reference: tuple[_Number, _Number, _Number] | None
-    disagreement: _Number
+    disagreement: Annotated[_Number, Field(ge=0.0)]
     views: list[Any]
     conditions: dict[str, Any]
     length: str = ""
@@ -88,6 +88,7 @@ def parse_passport(data: bytes, where: str) -> PassportFile:
         document: Any = parse_json(data)
         seal = read_passport_seal(data)
         form = _Form.model_validate(document if isinstance(document, dict) else {})
+        canonical_json(document, ascii_only=False)  # half a surrogate pair is no text: no run could state it
         if form.seal is not None and seal is None:
             raise UsageError(
                 "The seal of this passport is not on its second line: the file was written anew by another program.",

@@ -67,7 +67,7 @@ class Passport:
 
     def _fault(self) -> str:
         """Return why there is no such passport; empty if there is."""
-        n, shapes = len(self.names), (self.values.shape, self.covariance.shape)
+        n, shapes = len(set(self.names)), (self.values.shape, self.covariance.shape)
         if shapes != ((n,), (n, n)):
             return f"{n} parameters, but values of shape {shapes[0]} and a covariance of shape {shapes[1]}."
         if not (np.isfinite(self.values).all() and np.isfinite(self.covariance).all()):

@@ -319,6 +319,9 @@ def test_values_that_no_collimator_has_are_refused(values):
     [
         ('"values"', '"covariance": [], "values"', "'covariance' is there twice"),
         ("255.0", "1e999", r"values\.2 is inf"),
+        ('"conditions": {', r'"conditions": {"laboratory": "\ud800",', "surrogates"),
+        ('"disagreement": 1', '"disagreement": -1', "disagreement is -1"),
+        ('"y"', '"x"', "2 parameters"),
     ],
 )
 def test_json_that_readers_take_differently_is_refused(old, new, says):
