@@ -165,7 +165,15 @@ def main(arguments: list[str] | None = None) -> None:
     args = sys.argv[1:] if arguments is None else arguments
     if args[:1] == ["help"]:  # `starbench help run` is `starbench run --help`
         args = [*args[1:], "--help"]
-    sys.exit(_exit_status(lambda: cli.main(args=args, prog_name="starbench", standalone_mode=False), args))
+    sys.exit(_exit_status(lambda: _called(args), args))
+
+
+def _called(arguments: list[str]) -> Any:
+    """Call a command. A name that is no text is refused before the work whose results would have to state it."""
+    for word in arguments if {"run", "batch", "calibrate"} & set(arguments[:1]) else ():
+        if word.encode(errors="replace").decode() != word:
+            raise click.UsageError(f"{word!r} is no text in UTF-8. Rename it, or set the terminal to UTF-8.")
+    return cli.main(args=arguments, prog_name="starbench", standalone_mode=False)
 
 
 def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:

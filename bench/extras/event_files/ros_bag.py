@@ -116,24 +116,15 @@ def _opened_bag(path: Path) -> Iterator[tuple[Any, Any]]:
 def _first_message(path: Path, choices: ReadingChoices) -> tuple[str, Any]:
     """Return the topic of events to read, and its first message."""
     with _opened_bag(path) as (reader, decode):
-        of_events = {
-            topic_connection.topic
-            for topic_connection in reader.connections
-            if topic_connection.msgtype.endswith(_OF_EVENTS)
-        }
+        of_events = {one.topic for one in reader.connections if one.msgtype.endswith(_OF_EVENTS)}
         if not of_events:
-            topics = sorted(
-                f"{topic_connection.topic} ({topic_connection.msgtype})"
-                for topic_connection in reader.connections
-            )
+            topics = sorted(f"{one.topic} ({one.msgtype})" for one in reader.connections)
             raise NotARecording(
                 f"This bag has no topic of events; its topics: {', '.join(topics[:_MOST_NAMED]) or 'none'}.",
                 remedy="Give a bag with messages EventArray or EventPacket.",
             )
         topic = choices.chosen(of_events)
-        for connection, _, raw in reader.messages(
-            [topic_connection for topic_connection in reader.connections if topic_connection.topic == topic]
-        ):
+        for connection, _, raw in reader.messages([one for one in reader.connections if one.topic == topic]):
             try:
                 return topic, decode(raw, connection.msgtype)
             except KeyError as error:
@@ -147,9 +138,7 @@ def _first_message(path: Path, choices: ReadingChoices) -> tuple[str, Any]:
 def _bag_pieces(path: Path, topic: str, size: tuple[int, int], origin: int) -> Iterator[Piece]:
     decoders: dict[str, Any] = {}
     with _opened_bag(path) as (reader, decode):
-        used = [
-            topic_connection for topic_connection in reader.connections if topic_connection.topic == topic
-        ]
+        used = [one for one in reader.connections if one.topic == topic]
         last = None
         for connection, _, raw in reader.messages(used):
             message = decode(raw, connection.msgtype)

@@ -25,6 +25,11 @@ RUN_COMMANDS = [
 ]
 
 
+@pytest.mark.parametrize("words", [("calibrate", "raw\udcff/p.raw"), ("run", "x", "--operator", "J\udce9r")])
+def test_a_name_that_results_could_not_state_is_refused_before_the_work(capsys, words):
+    assert "UTF-8" in refusal(capsys, *words, status=2)
+
+
 INTERRUPTED = """
 import sys
 class Interrupted:
