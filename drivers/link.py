@@ -251,14 +251,13 @@ class Link(ABC):
         with self.lock:
             self._proven = False
             self.bring_into_step()
-            unknown = self._proven
             if deadline_s is None:
                 deadline_s = self.reply_s if self._urgent_reply_s is None else self._urgent_reply_s
             in_step_before = self._in_step
             # Whatever ends this exchange early, an interrupt included, leaves a reply unread.
             self._in_step = False
             self.write(request)
-            reply = read_reply(ReplyReader(self, request, deadline_s, unknown=unknown))
+            reply = read_reply(ReplyReader(self, request, deadline_s, unknown=self._proven))
             self._in_step = in_step_before
             return reply
 
