@@ -83,6 +83,9 @@ def write_and_link(path: Path, data: bytes) -> None:
         # Its name in /proc is linked (open(2), O_TMPFILE). Python follows that link only if a folder's descriptor
         # is given.
         os.link(f"/proc/self/fd/{descriptor}", path.name, dst_dir_fd=folder, follow_symlinks=True)
+    except OSError as error:
+        error.filename = str(path)  # not its name in /proc, which tells an operator nothing
+        raise
     finally:
         os.close(descriptor)
         os.close(folder)
