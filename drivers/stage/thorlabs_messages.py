@@ -225,7 +225,8 @@ def size(head: bytes, where: str) -> int:
     """Return the size, bytes, of the message with these first six bytes; else raise `ReplyGarbled`."""
     message, length, destination, source = struct.unpack("<HHBB", head)
     if message == REQUEST_INFORMATION + 1 and source in _RACKS and destination & ~_LONG in {0, HOST}:
-        raise DeviceRefused(
+        # One changed byte makes this of a known controller's answer, so it is no refusal: it is asked again.
+        raise ReplyGarbled(
             f"a controller with bays answers (address {source:#x}), which this driver does not know.",
             where=where,
             remedy=NO_BAYS,

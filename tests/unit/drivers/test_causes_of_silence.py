@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.errors import DeviceRefused, DriverError, PortLost, ReplyGarbled, ReplyTimeout
+from drivers.errors import DriverError, PortLost, ReplyGarbled, ReplyTimeout
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from drivers.serial_port import SerialPort
@@ -108,7 +108,7 @@ def test_a_thorlabs_controller_with_bays_is_told_by_name() -> None:
     data = INFORMATION_LAYOUT.pack(40_330_594, b"BSC201\0\0", 44, 1, 0, 2, 0, b"", 1, 0, 1)
     message = struct.pack("<HHBB", 0x0006, len(data), 0x81, 0x11) + data
     port = OtherDevice(clock, lambda sent: message if sent[:2] == b"\x05\x00" else b"")
-    with pytest.raises(DeviceRefused, match="controller with bays") as caught:
+    with pytest.raises(ReplyGarbled, match="controller with bays") as caught:
         ThorlabsController(port, clock=clock)
     assert "BSC20x" in caught.value.remedy
 
