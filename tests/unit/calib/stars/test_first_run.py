@@ -1,11 +1,11 @@
 """The process that compiles the loops finds the same stars, to the last bit, as those that load the compiled ones."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from running import python
 
 ROOT = Path(__file__).parents[4]
 CODE = """
@@ -20,12 +20,7 @@ print(hashlib.sha256(b"".join(view.points_px.tobytes() for view in found)).hexdi
 @pytest.mark.slow
 def test_stars_of_the_first_run_after_an_installation_are_those_of_later_runs(tmp_path):
     """Reordered sums of a loop that is compiled alone differ from those of the same loop in another."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    first, second = (
-        subprocess.run(
-            [sys.executable, "-c", CODE], cwd=ROOT, env=environment, check=True, capture_output=True
-        )
-        for _ in range(2)
-    )
+    words = {"cwd": ROOT, "NUMBA_CACHE_DIR": tmp_path, "PYTHONPATH": os.pathsep.join(sys.path)}
+    first, second = (python("-c", CODE, **words).stdout for _ in range(2))
     assert any(tmp_path.rglob("*.nbi"))
-    assert first.stdout == second.stdout
+    assert first == second
