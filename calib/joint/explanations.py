@@ -120,7 +120,7 @@ def _at_all_optima(views: Sequence[View], options: CalibrationOptions) -> list[_
         apart = np.abs(other.state.shared[at] - first.state.shared[at]) / sigmas
         if apart.max() > _SAME:
             with suppress(np.linalg.LinAlgError):
-                there = modes_of(other)
+                there = modes_of(other.at_best)
                 log_odds = _log_odds(there, explanations[0]) + math.log(OTHER_OPTIMUM.odds)
                 explanations.append(_Explanation(there, log_odds, OTHER_OPTIMUM))
     return explanations
@@ -136,7 +136,7 @@ def _with_other_lens(
         return []
     other = _BROWN if _family(first.optimum) == _FISHEYE else _FISHEYE
     with suppress(CalibrationError, np.linalg.LinAlgError):  # these views cannot be those of such a lens
-        there = modes_of(adjust(views, options, lens=lens_names(DISTORTION_SETS[other])))
+        there = modes_of(adjust(views, options, lens=lens_names(DISTORTION_SETS[other])).at_best)
         log_odds = _log_odds(there, first) + math.log(OTHER_LENS.odds)
         return [_Explanation(there, first.log_odds + log_odds, OTHER_LENS)]
     return []
@@ -168,7 +168,7 @@ def _moved_otherwise(
         (Pupil.BY_HAND, problem.wander) if problem.pupils is None else (Pupil.WALKS, -problem.wander)
     )
     with suppress(CalibrationError, np.linalg.LinAlgError):  # these views cannot be explained so
-        there = modes_of(adjust(views, options, way, _lens(first.optimum)))
+        there = modes_of(adjust(views, options, way, _lens(first.optimum)).at_best)
         by_stars = min(max(2.0 * _log_odds(there, first), -_DECIDED), _DECIDED)
         log_odds = 0.5 * (by_discs + by_stars) + math.log(OTHER_WAY.odds)
         return [_Explanation(there, first.log_odds + log_odds, OTHER_WAY)]
