@@ -103,7 +103,6 @@ class _DescribedSection(SerialLine, Generic[D]):
     serial: Annotated[
         Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
     ] = None
-    _reads: ClassVar[staticmethod[[Path], Located[Any]]]
     _read: Located[D] | None = PrivateAttr(default=None)
 
     @property
@@ -123,6 +122,10 @@ class _DescribedSection(SerialLine, Generic[D]):
     def device_names(self) -> tuple[str, ...]:
         """Maker and serial number."""
         return (f"{self.described.maker} {self.serial}",) if self.serial else ()
+
+    @staticmethod
+    def _reads(path: Path) -> Located[Any]:
+        raise NotImplementedError(path)
 
     def use(self, path: Path) -> None:
         """Read the description from a file."""

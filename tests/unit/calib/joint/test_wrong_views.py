@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
-from calib.errors import InputMismatch
 from calib.model import cause as kinds
 from calib.model.gimbal_readings import AXES, GimbalReadings, ParallaxBound
 from tests.benchmarks.worlds.catalogue import WORLDS
@@ -169,8 +168,9 @@ def test_a_certificate_is_not_blamed_for_a_shifted_view():
     views = views_of(drawn)
     places = np.unique(np.round(views[0].target_mm, 6)[:, 0])
     views[0] = replace(views[0], target_mm=views[0].target_mm - np.median(np.diff(places)) * np.array([2, 1]))
-    with pytest.raises(InputMismatch, match="star ids"):
-        calibrate(views, options_for(drawn, "cr"))
+    result = calibrate(views, options_for(drawn, "cr"))
+    assert [cause.kind for cause in result.causes] == [kinds.IDS]
+    assert all(witness.fault_probability < 0.5 for witness in result.witnesses)
 
 
 @pytest.mark.slow
