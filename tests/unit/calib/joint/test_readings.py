@@ -58,9 +58,15 @@ def test_poses_at_neighbouring_angles_of_an_axis_share_what_its_encoder_is_off()
         ]
         for apart in (0.0, 0.03, 0.1, 1.1)
     ]
-    same, close, near, far = (
-        solved(bench, readings(bench, sigma_deg=0.005)).sigma["fx"]
-        for bench in (draw_bench("ideal", poses, 11) for poses in grids)
+    same, close, near, far = np.mean(
+        [
+            [
+                solved(bench, readings(bench, sigma_deg=0.005)).sigma["fx"]
+                for bench in (draw_bench("ideal", poses, seed) for poses in grids)
+            ]
+            for seed in (11, 12, 13)
+        ],
+        axis=0,
     )
     assert same > 1.25 * far
     assert close == pytest.approx(same, rel=0.1)
