@@ -179,7 +179,7 @@ def _fine_errors(scatter: float) -> str:
     return (
         f"The stars lie {scatter:.1f} times as far from this camera as the noise of neighbouring stars explains. "
         "Probably the collimator has errors that are finer than the fields of this model. The uncertainties take them "
-        "for noise, so cx and cy can be wrong by several times theirs. Roll the camera between the poses."
+        "for noise, so those of cx and cy can be much too small. Roll the camera between the poses."
     )
 
 
