@@ -27,6 +27,8 @@ from calib.model.camera import CameraModel
 from calib.model.gimbal import GIMBAL, Gimbal
 from calib.model.rotation import exp_map
 
+#: Residuals below this share of their sigma are rounding, as in a forecast, and have nothing in common.
+_EXACT = 0.01
 #: Steps to the best rotations.
 _ALIGNMENTS = 2
 
@@ -252,8 +254,9 @@ class Bench:
         sums = [np.bincount(at, row) for row in (*along, roots)]
         both = float((sums[0] ** 2 + sums[1] ** 2).sum() - (along**2).sum())
         pairs = float((sums[2] ** 2).sum() - (roots**2).sum())
-        squares = float(weights @ (residuals**2).sum(axis=0))
-        alike = both * float(weights.sum()) / max(pairs * squares, np.finfo(float).tiny)
+        whole = float(weights.sum())
+        squares = max(float(weights @ (residuals**2).sum(axis=0)), _EXACT**2 * whole)
+        alike = both * whole / max(pairs * squares, np.finfo(float).tiny)
         return np.asarray(1.0 / (1.0 + (np.bincount(at)[at] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _compressed(
