@@ -169,10 +169,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _called(arguments: list[str]) -> Any:
-    """Call a command. A name that is no text is refused before the work whose results would have to state it."""
+    """Call a command. Results state the names of files, so a name that is not UTF-8 is refused before any work."""
     for word in arguments if {"run", "batch", "calibrate"} & set(arguments[:1]) else ():
         if word.encode(errors="replace").decode() != word:
-            raise click.UsageError(f"{word!r} is no text in UTF-8. Rename it, or set the terminal to UTF-8.")
+            raise click.UsageError(f"{word!r} is not UTF-8. Rename it, or set the terminal to UTF-8.")
     return cli.main(args=arguments, prog_name="starbench", standalone_mode=False)
 
 

@@ -25,7 +25,8 @@ DRIFT = "drift"
 #: and the power of the tangent, or angle, that it has.
 _LENS_RATIOS = {"k1": (1.0, 2), "k2": (0.4, 4), "k3": (0.15, 6), R8: (0.05, 8)}
 _LENS_RATIOS |= {f"kb{n}": (ratio, 2 * n) for n, ratio in enumerate((1.0, 0.4, 0.15, 0.05), start=1)}
-#: Cosine of the largest angle to the camera's axis at which a field still follows an error of its image.
+#: Cosine of the largest angle to the axis (73 degrees) at which a field follows an error of the image. Beyond, tangents
+#: would grow without bound, and a field is one polynomial: what no camera sees there would spoil what it sees.
 _LEAST_COSINE = 0.3
 _ROW = Row(rows.LENS, "B", "expected sizes of lens coefficients")
 

@@ -209,7 +209,7 @@ class Life(RuleBasedStateMachine):
         self.shut_at_s = self.scene.clock.monotonic() + shut_after_s
 
     def _command(self, word, **more):
-        """Give a command at once, in the midst of the work. In a run, a thread of its own takes them."""
+        """Decide a command at once, while the work goes on. In a run, another thread does so."""
         runner = self.scene.runner
         inbox = getattr(runner, "inbox", None)
         if inbox is None or inbox.closed:

@@ -66,7 +66,7 @@ def test_a_hand_brings_what_a_gimbal_has_not():
 
 @pytest.mark.parametrize("lens", [("k1", "p1"), ("kb1",)])
 def test_an_error_of_the_lens_moves_the_image_by_itself_however_far_the_camera_is_turned(lens):
-    """A thin prism, |x|^2 e, of a fisheye lens was up to twice as large at 35 degrees, and moved cy by 1.3 U."""
+    """Before, a thin prism of a fisheye lens counted up to twice at a turn of 35 degrees. That moved cy by 1.3 U."""
     rotations = exp_map(np.array([[0.0, 0.6, 0.0], [0.35, -0.3, 0.2]]))
     poses = Turned(rotations[:, 2, :2] / rotations[:, 2, 2:], rotations[:, :2, :2], np.zeros((2, 2)))
     basis, points = FieldBasis((0.0, 0.0, 250.0), 40.0), np.array([[0.0, 0.0, 250.0], [20.0, -25.0, 250.0]])

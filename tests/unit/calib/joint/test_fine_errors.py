@@ -1,4 +1,4 @@
-"""Errors of a collimator that are finer than the fields of the model are no noise of single stars."""
+"""Fine errors of a collimator, which no field of the model holds: all stars near a place share them."""
 
 from dataclasses import replace
 
