@@ -59,7 +59,7 @@ _NEARLY_SQUARE = ((ASPECT, "10 times"),)
 _FAR_START, _AGAIN = 0.05, 4
 #: The stars are explained if they scatter by no more than so many times what neighbouring stars show. On 41 ray-traced
 #: benches, right ends have 1.1 at most; ends at another camera have 1.24 or more, a mirror with fine errors has 1.9.
-_AS_NEIGHBOURS = 1.15
+AS_NEIGHBOURS = 1.15
 #: A foot that lies so far beside the middle of the stars, as a share of the radius, is looked for there, too: a target
 #: is square to its collimator to two degrees.
 _BESIDE = 0.035
@@ -247,10 +247,15 @@ def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
     from_middle_px = np.abs(principal_point - 0.5 * (size - 1.0)).max()
     if from_middle_px > MIDDLE_SHARE * np.hypot(*size):
         return False
+    reading = float(np.exp(optimum.eta[optimum.marginal.problem.hyper.at(amp.READING)]))
+    return scatter_over_local(optimum, views) <= AS_NEIGHBOURS and reading < MOST_SCATTER
+
+
+def scatter_over_local(optimum: Optimum, views: Sequence[View]) -> float:
+    """Return how many times as far stars scatter as neighbours show; NaN if no view has enough stars."""
     stated = [np.sqrt(0.5 * np.median(np.trace(view.covariances_px2, axis1=1, axis2=2))) for view in views]
     local = float(np.median([noise_px(view) / sigma for view, sigma in zip(views, stated, strict=True)]))
-    reading = float(np.exp(optimum.eta[optimum.marginal.problem.hyper.at(amp.READING)]))
-    return np.sqrt(optimum.solution.star_variance) <= _AS_NEIGHBOURS * local and reading < MOST_SCATTER
+    return float(np.sqrt(optimum.solution.star_variance)) / local
 
 
 def _searched(task: Task, begin: _Begin) -> _End:

@@ -19,7 +19,6 @@ from calib.adjustment.bundle import mapped
 from calib.arrays import Array
 from calib.joint.effects.effect import Places, Turned
 from calib.joint.effects.gimbal import GimbalErrors
-from calib.joint.fields import DEGREE
 from calib.joint.layout import Layout
 from calib.joint.readings import Readings
 from calib.joint.stars import RimNoise, Stars, robust_weights
@@ -27,10 +26,10 @@ from calib.model.camera import CameraModel
 from calib.model.gimbal import GIMBAL, Gimbal
 from calib.model.rotation import exp_map
 
-#: Residuals below this share of their sigma are rounding, as in a forecast, and have nothing in common.
-_EXACT = 0.01
 #: Steps to the best rotations.
 _ALIGNMENTS = 2
+#: Stars whose places agree to so many decimals of a millimetre are the same.
+_SAME_STAR = 6
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class Equations:
     weights: Array  # (N,) robust weights times the share of the view and the precision
     precisions: Array  # (N,) of `Stars.precision`
     rim: RimNoise
-    shares: Array  # (m,) mean share of the stars of each view that is new
+    shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
     of_views: Array  # (m, B, B) what each view adds to ``squares``
     right_of_views: Array  # (m, B) what each view adds to ``right``
 
@@ -198,13 +197,11 @@ class Bench:
         lengths = np.where(in_camera[:, 2] > 0.0, np.hypot(*residuals), np.nan)
         rim = before.rim if before else stars.rim_noise(lengths)
         precisions = before.precisions if before else stars.precision(rim)
-        if before:
-            weights, shares = before.weights, before.shares
-        else:
-            weights = precisions * robust_weights(np.sqrt(precisions) * lengths, limit)
-            of_stars = self._shares(state, weights, residuals)
-            weights = of_stars * weights
-            shares = np.bincount(stars.views, of_stars) / np.bincount(stars.views)
+        weights = (
+            before.weights if before else precisions * robust_weights(np.sqrt(precisions) * lengths, limit)
+        )
+        shares = before.shares if before else self._shares(weights, residuals)
+        weights = weights if before else shares[stars.views] * weights
         slopes = mapped(stars.whitening, np.concatenate([by_camera, by_point], axis=2).transpose(2, 1, 0))
         views = self._compressed(state, in_camera, residuals, slopes, weights, entries)
         off, jacobian = np.zeros((0, 3)), np.zeros((0, 3, 0))
@@ -238,26 +235,28 @@ class Bench:
         np.add.at(sums, self.poses, values)
         return sums
 
-    def _shares(self, state: State, weights: Array, residuals: Array) -> Array:
-        """Return (N,) the share of each star that is new: 1 / (1 + (n - 1) rho) of n stars of all views in one cell.
+    def _shares(self, weights: Array, residuals: Array) -> Array:
+        """Return (m,) the share of each view that is new: 1 / (1 + (n - 1) rho) in a pose of n views.
 
-        rho is the correlation of their residuals (2, N), along the target's axes. What no smooth field holds comes
-        again in the neighbours, in other poses and in each repeat: fine errors of the glass, errors at the rim or of
-        finding a star. n stars of correlation rho determine what they have in common as well as n times this share
-        (Kish, 1965, design effect). A cell is half the shortest wave of a field.
+        rho is the correlation of the residuals (2, N) of one star in the views of a pose: what no smooth field holds,
+        an error at the rim or of finding this star, comes again in each repeat. n views of correlation rho determine
+        what they have in common as well as n times this share (Kish, 1965, design effect).
         """
-        stars, basis = self.stars, self.layout.basis
-        cells = np.round((stars.target_mm - basis.reference[:2]) * (DEGREE / basis.radius_mm))
-        at = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-        roots = np.sqrt(weights)
-        along = roots * np.einsum("nij,in->jn", state.rotations[stars.views][:, :2, :2], residuals)
-        sums = [np.bincount(at, row) for row in (*along, roots)]
-        both = float((sums[0] ** 2 + sums[1] ** 2).sum() - (along**2).sum())
+        views = np.bincount(self.poses)
+        if (views == 1).all():
+            return np.ones(len(self.poses))
+        poses = self.poses[self.stars.views]
+        again = views[poses] > 1
+        places = np.column_stack([poses, np.round(self.stars.target_mm, _SAME_STAR)])[again]
+        star = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
+        roots = np.sqrt(weights[again])
+        weighted = roots * residuals[:, again]
+        sums = [np.bincount(star, row) for row in (*weighted, roots)]
+        both = float((sums[0] ** 2 + sums[1] ** 2).sum() - (weighted**2).sum())
         pairs = float((sums[2] ** 2).sum() - (roots**2).sum())
-        whole = float(weights.sum())
-        squares = max(float(weights @ (residuals**2).sum(axis=0)), _EXACT**2 * whole)
-        alike = both * whole / max(pairs * squares, np.finfo(float).tiny)
-        return np.asarray(1.0 / (1.0 + (np.bincount(at)[at] - 1) * min(max(alike, 0.0), 1.0)))
+        squares = float(weights @ (residuals**2).sum(axis=0))
+        alike = both * float(weights.sum()) / max(pairs * squares, np.finfo(float).tiny)
+        return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _compressed(
         self,

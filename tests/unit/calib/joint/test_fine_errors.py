@@ -3,17 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calib import CalibrationOptions, calibrate
 from tests.unit.calib.conftest import Bench
 
+_POSES = ((-5, 2), (5, 2), (0, -3), (3, 0))
 
-def test_errors_that_neighbours_and_poses_share_do_not_count_as_often_as_they_are_seen():
-    """Counted so, they moved cy by .84 U; a ray-traced mirror with such errors moved cx by 9 U."""
-    bench = Bench()
-    views = bench.views(np.random.default_rng(3), 0.01, poses=((-5, 2), (5, 2), (0, -3), (3, 0)))
-    waves = [0.2 * np.sin(2.0 * np.pi * view.target_mm / 22.0 + 3.0) for view in views]
-    waved = [replace(view, points_px=view.points_px + wave) for view, wave in zip(views, waves, strict=True)]
+
+@pytest.mark.parametrize(("wave_px", "named"), [(0.1, True), (0.0, False)])
+def test_a_result_says_where_neighbouring_stars_share_errors_that_no_field_holds(wave_px, named):
+    views = Bench().views(np.random.default_rng(3), 0.01, poses=_POSES)
+    waved = [
+        replace(view, points_px=view.points_px + wave_px * np.sin(2.0 * np.pi * view.target_mm / 22.0))
+        for view in views
+    ]
     result = calibrate(waved, CalibrationOptions())
-    for name, share in (("cx", 0.1), ("cy", 0.6)):
-        assert abs(result.values[name] - bench.truth[name]) < share * result.U[name]
+    assert any("times as far" in note for note in result.notes) is named

@@ -56,7 +56,7 @@ def test_readings_that_are_there_twice_count_once(profile, poses):
     bound, angles = ParallaxBound(0.0, 0.01, 0.0, 1.0), tuple(bench.readings_deg)
     gimbals = (GimbalReadings(angles * n, 0.002, 2e-4, 0.001, bound, "drawn") for n in (1, 2))
     once, twice = (expanded(repeated([bench] * n), gimbal=gimbal) for n, gimbal in enumerate(gimbals, 1))
-    assert twice == pytest.approx(once, rel=0.05)  # of noise that no star shares, cells know a little less
+    assert twice == pytest.approx(once, rel=0.005)
 
 
 @pytest.mark.parametrize(("profile", "poses", "options"), BENCHES[1:])
