@@ -231,6 +231,8 @@ class VirtualCamera:
             biases=dict(self._settings.biases),
             filters=self.filters(),
             temperature_c=round(seen.temperature_c, 3),
+            rate_controller_in=1,  # all passes
+            rate_controller_out=1,
         )
 
     def stop(self) -> None:

@@ -62,7 +62,6 @@ class MeasuredFacts(TypedDict, total=False):
     edge_width_px: float | None
     expected_grid: Sequence[Sequence[float]]
     motion_px: float | None
-    rehearsed: bool
 
 
 class RecordingCounts(TypedDict, total=False):

@@ -17,6 +17,7 @@ from bench.record.journal import read_journal
 from bench.record.run_index import read_run_and_details
 from bench.run.launch import Launch, read_intentions, resume_run
 from bench.stations.station import SHIPPED_STATIONS
+from sequences.schema import GateConfig
 
 EVENING = datetime(2026, 3, 1, 18, 30, tzinfo=UTC)
 QUEUE = """\
@@ -130,12 +131,12 @@ def test_a_rehearsal_leaves_nothing_that_passes_for_evidence(queue, tmp_path, mo
         real.run()
 
 
-def events_of_one_run(folder, sequence="three_pose", station="simulated", seed=1, **more):
+def events_of_one_run(folder, sequence="three_pose", station="simulated", seed=1, how="finished", **more):
     clock = VirtualClock(EVENING)
     end = rehearse_run(
         str(sequence), str(station), seed=seed, operator=None, folder=folder / "run", clock=clock, **more
     )
-    assert end.how == "finished", end.why
+    assert end.how == how, end.why
     return read_journal(folder / "run" / "journal.jsonl")[0]
 
 
@@ -151,6 +152,24 @@ def test_mishaps_are_tried_again_skipped_and_told_as_in_a_run(tmp_path):
     assert events.count("attempt_lost") >= 2
     assert any("stars 20, needed >= 40" in e.data["reasons"] for e in refused)
     assert run.deviations == 12 - run.accepted
+
+
+def test_each_gate_is_judged_by_a_virtual_number_or_said_to_have_none(tmp_path):
+    stated = set(GateConfig.model_fields) - {"require_triggers", "max_event_rate_mev_s"}
+    gates = {name: "0" if name.startswith("max_") else "100000" for name in stated}
+    record = {"attempts": "1", "on_failure": "skip"} | {
+        f"gates.{name}": limit for name, limit in gates.items()
+    }
+    settings = {f"sequence.defaults.record.{name}": value for name, value in record.items()}
+    entries = events_of_one_run(tmp_path, settings=settings, how="failed")
+    told = " ".join(str(entry.data["what"]) for entry in entries if entry.event == "deviation")
+    unjudged = {name for name in stated if f" {name} " in told}
+    judged = next(entry.data["gates"] for entry in entries if entry.event == "attempt_checked")
+    fixed = {"event rate", "pan moved", "tilt moved"}
+    assert len([gate for gate in judged if gate["name"] not in fixed]) == len(stated - unjudged)
+    assert {gate["name"] for gate in judged if gate["verdict"] == "fail"} == {"stars", "data rate"}
+    assert {"max_motion_px", "max_silent_rows", "max_trigger_jitter_us"} <= stated - unjudged
+    assert {"max_edge_width_px", "min_lit_pixels"} <= unjudged
 
 
 INTERLOCKS = """
