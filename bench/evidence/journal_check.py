@@ -31,6 +31,7 @@ from bench.record.run_folder import (
     SEQUENCE_COPY,
     STATION_COPY,
 )
+from bench.record.storage import is_plain_file
 from bench.record.stored_run import StoredRun
 
 _BEGUN_WITH = (SEQUENCE_COPY, STATION_COPY, PLAN)
@@ -51,7 +52,7 @@ _CLOCK_SLACK_S = 0.05  # A line's two clocks are read one after the other; a bus
 def check_journal(folder: Path, manifest: Mapping[str, str], findings: Findings) -> Mapping[str, Capture]:
     """Check a run's journal, and the files of the folder and of the seal's list against it."""
     path = folder / JOURNAL
-    if path.is_symlink() or not path.is_file():
+    if not is_plain_file(path):
         findings.fault("journal", JOURNAL, "the file is missing")
         return {}
     try:

@@ -34,7 +34,7 @@ from bench.record.run_folder import (
     SIGNATURE,
     is_sealed,
 )
-from bench.record.storage import read_json, storage_errors
+from bench.record.storage import is_plain_file, read_json, storage_errors
 from bench.record.stored_run import StoredRun
 
 _PLACES = ((CERTIFICATE, ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
@@ -50,11 +50,11 @@ LARGEST_SEAL_BYTES = 64 << 20
 def stated_time(folder: Path) -> datetime | None:
     """Return when a folder was made, UTC: end of run, issue, or recalculation; None if no file states it."""
     journal = folder / JOURNAL
-    if journal.is_file():
+    if is_plain_file(journal):
         return _last_time(journal)
     for name, keys in _PLACES:
         path = folder / name
-        if path.is_file():
+        if is_plain_file(path):
             try:
                 content = read_json(path)
                 for key in keys:
@@ -233,7 +233,7 @@ def check_ended_page(
         if armoured is None:
             return
         signature = read_signature(armoured)
-        page = (folder / REPORT).read_bytes() if (folder / REPORT).is_file() else b""
+        page = (folder / REPORT).read_bytes() if is_plain_file(folder / REPORT) else b""
         holds = signature.namespace == NAMESPACE and is_valid(signature, page)
     except EvidenceError as error:
         verification.fault("signature", PAGE_SIGNATURE, error.what)

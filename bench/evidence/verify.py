@@ -43,7 +43,7 @@ from bench.record.run_folder import (
     SOURCES,
     STATION_COPY,
 )
-from bench.record.storage import read_bounded, read_json, sha256_of, storage_errors
+from bench.record.storage import is_plain_file, read_bounded, read_json, sha256_of, storage_errors
 
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
@@ -56,7 +56,7 @@ _MOST_INSTRUCTIONS = 1 << 20  # They have 3 kB
 def check_listed(folder: Path, findings: Findings) -> dict[str, str] | None:
     """Check that a sealed folder has exactly its listed files; return SHA-256 by name, None without a list."""
     path = folder / MANIFEST
-    if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_SEAL_BYTES:
+    if not is_plain_file(path) or path.stat().st_size > LARGEST_SEAL_BYTES:
         return None  # a fault of the signature
     try:
         manifest = read_manifest(path.read_bytes())
@@ -88,7 +88,7 @@ def _instructions(findings: Findings, folder: Path) -> None:
         key = fingerprint(read_signature(read_beside(folder, SIGNATURE) or b"").public_key)
     except EvidenceError:
         return  # told already
-    had = b"" if path.is_symlink() or not path.is_file() else read_bounded(path, _MOST_INSTRUCTIONS)
+    had = b"" if not is_plain_file(path) else read_bounded(path, _MOST_INSTRUCTIONS)
     text = had.decode(errors="replace")
     named = _PRINCIPAL.search(text)
     if text != instructions(folder_kind(folder), principal=named[1] if named else "", fingerprint=key):
@@ -98,7 +98,7 @@ def _instructions(findings: Findings, folder: Path) -> None:
 
 def _form(findings: Findings, path: Path, *, ascii_only: bool) -> None:
     """Check that a JSON file has the form that the program gives it, so that every reader reads the same."""
-    if path.is_symlink() or not path.is_file():
+    if not is_plain_file(path):
         return  # told already
     try:
         data = read_bounded(path)
@@ -186,7 +186,7 @@ def _results(
 ) -> None:
     """Take run and camera from the results, and check that the journal, if there is one, names the same recordings."""
     path = folder / RESULTS
-    if path.is_symlink() or not path.is_file():
+    if not is_plain_file(path):
         return  # the journal tells whether a run must have results
     with verification.unreadable("results", RESULTS, "the file cannot be read"):
         recordings = _read_facts(read_json(path), verification)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bench.record.journal import CAPTURES, Capture, Journal, stored_captures
 from bench.record.run_folder import PART, REPORT, RESULTS, RunFolder
-from bench.record.storage import is_temporary, make_folder, sha256_of, storage_errors
+from bench.record.storage import is_plain_file, is_temporary, make_folder, sha256_of, storage_errors
 
 if TYPE_CHECKING:
     from bench.record.events import Recovered
@@ -49,7 +49,7 @@ def _state_of(path: Path, capture: Capture | None) -> str:
         return "interrupted"
     if capture is None:
         return "unnamed"
-    whole = path.is_file() and not path.is_symlink() and path.stat().st_size == capture.size
+    whole = is_plain_file(path) and path.stat().st_size == capture.size
     return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Self
@@ -71,16 +71,18 @@ class RunFolder:
         self._lock = lock
 
     @classmethod
-    def create(cls, path: Path, *, bytes_needed: int = 0, bytes_kept_free: int = 0) -> Self:
+    def create(
+        cls, path: Path, *, bytes_needed: int = 0, bytes_kept_free: int = 0, documents: Container[str] = ()
+    ) -> Self:
         """Make a new or empty run folder, with its parents, and lock it; there must be room for both numbers of bytes.
 
-        ``bytes_kept_free`` is what the station wants to stay free after the run.
+        ``bytes_kept_free`` is what the station wants to stay free afterwards, ``documents`` what it writes first.
         """
         path = path.absolute()
         make_folder(path)
         lock = lock_folder(path)
         try:
-            _clear_unbegun(path)
+            _clear_unbegun(path, documents)
             _refuse_occupied(path)
             _refuse_full(path, bytes_needed + RESERVE_BYTES, bytes_kept_free)
             make_folder(path / CAPTURES)
@@ -213,10 +215,10 @@ def require_resumable(path: Path) -> None:
         )
 
 
-def _clear_unbegun(path: Path) -> None:
+def _clear_unbegun(path: Path, documents: Container[str]) -> None:
     """Remove what a run left that ended before the first line of its journal: nothing was recorded yet.
 
-    The reserve, the first file of a run, shows that the folder was empty before, and that its files are a run's.
+    The reserve, the first file of a run, shows that the folder was empty before, and that documents in it are a run's.
     """
     with storage_errors(path):
         reserve, journal = path / _RESERVE, path / JOURNAL
@@ -224,7 +226,7 @@ def _clear_unbegun(path: Path) -> None:
             return
         if (journal.is_file() and b"\n" in read_bounded(journal)) or any((path / CAPTURES).glob("*")):
             return
-        for file in [file for file in path.iterdir() if file.is_file() and file != reserve]:
+        for file in [file for file in path.iterdir() if file == journal or file.name in documents]:
             file.unlink()
 
 

@@ -186,6 +186,11 @@ def _write_new(path: Path, data: bytes, mode: int) -> None:
         os.close(descriptor)
 
 
+def is_plain_file(path: Path) -> bool:
+    """Return whether a path is an ordinary file itself: no link to one, no folder, no pipe, no device."""
+    return path.is_file() and not path.is_symlink()
+
+
 @contextmanager
 def open_to_read(path: Path) -> Iterator[BinaryIO]:
     """Open an ordinary file for reading. A pipe or a device, which might never answer, is refused."""

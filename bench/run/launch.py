@@ -131,11 +131,13 @@ def start_run(
     refuse_broken_ledger(ledger, job)
     pace = pace_on(plan.station.value.name).factor
     key = _key(launch)
-    _compile_loops_for(job)
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     kept_free = int(plan.station.value.disk.min_free_gb * 1e9)
-    with RunFolder.create(folder_path, bytes_needed=plan.size_bytes, bytes_kept_free=kept_free) as folder:
-        written = documents_of(plan)
+    written = documents_of(plan)
+    with RunFolder.create(
+        folder_path, bytes_needed=plan.size_bytes, bytes_kept_free=kept_free, documents=written
+    ) as folder:
+        _compile_loops_for(job)
         for name, text in written.items():
             folder.write_atomic(name, text)
         place = enter_in_ledger(ledger, job, folder.path)

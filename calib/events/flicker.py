@@ -286,7 +286,7 @@ def _fit_trains(
     is_rising = np.arange(t.size) < rising[0].size
     origin = t[0]
     fixed_period = len(np.unique(rising[1])) < 2 and len(np.unique(falling[1])) < 2
-    target = t - origin - (k * period if fixed_period else 0.0)
+    target = t - origin  # a fixed period: each direction has one number of periods, 0
     design = np.column_stack([is_rising, ~is_rising, k])[:, : 2 if fixed_period else 3]
     solution, _, rank, _ = np.linalg.lstsq(design, target, rcond=None)
     residuals = target - design @ solution

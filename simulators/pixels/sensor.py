@@ -285,27 +285,6 @@ class Sensor:
             yield Events(out.t[:n], out.x[:n], out.y[:n], out.p[:n])
 
 
-def simulate(
-    picture: NDArray[np.float32],
-    light: LightState,
-    duration_us: float,
-    *,
-    phase: float = 0.0,
-    noise: NoiseTruth = NOISE_LEVELS["typical"],
-    settings: PixelSettings | None = None,
-    camera_seed: int = 0,
-    seed: int = 0,
-    link: Link | None = None,
-) -> Events:
-    """Return a still picture's events under a flicker, from 0 to before ``duration_us``; ``phase`` in periods."""
-    height, width = picture.shape
-    sensor = Sensor(
-        width, height, noise=noise, settings=settings, camera_seed=camera_seed, seed=seed, link=link
-    )
-    sensor.begin(picture, light, phase)
-    return sensor.run(duration_us)
-
-
 @lru_cache(maxsize=2)
 def _make_readout(
     width: int, height: int, noise: NoiseTruth, settings: PixelSettings, camera_seed: int, link: Link

@@ -22,11 +22,11 @@ import measured
 import numpy as np
 from numpy.typing import NDArray
 from star_scores import event_images, star_scores
+from still_picture import simulate
 
 from calib import CalibrationError, detect_view
 from calib.model.homography import fit_homography
 from simulators.optics.picture import TARGET, pose_rotation, project, render, star_centres
-from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, Truth
 from simulators.world.world import LightState
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from still_picture import simulate
 
 from bench.measure.gates import failed_gate_texts, recording_gates, rejection_reasons
 from bench.measure.measure import measure
@@ -14,7 +15,6 @@ from sequences.schema import GateConfig
 from sequences.script import Gates
 from simulators.optics.picture import TARGET, pose_rotation, render
 from simulators.pixels.evt3_writer import Evt3Writer
-from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, Truth
 from simulators.world.world import LightState
 

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from still_picture import simulate
 
 from calib.events.event_image import EventImages, make_images
 from calib.events.flicker import Flicker
 from simulators.optics.picture import render
-from simulators.pixels.sensor import simulate
 from simulators.world.truth import Truth
 from simulators.world.world import LightState
 

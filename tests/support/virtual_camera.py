@@ -12,11 +12,12 @@ import numpy as np
 from board_scene import ShownBoard, corners
 from board_scene import picture as board_picture
 from numpy.typing import NDArray
+from still_picture import simulate
 
 from simulators.config import bench_config
 from simulators.optics import scene
 from simulators.optics.lens_focus import truth_record
-from simulators.pixels.sensor import Events, Sensor, simulate
+from simulators.pixels.sensor import Events, Sensor
 from simulators.world.gimbal import Gears
 from simulators.world.truth import Truth
 from simulators.world.world import FULL_DRIVE_V, LightState

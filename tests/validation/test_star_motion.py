@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from slow_cases import first_quick
+from still_picture import simulate
 
 from calib import detect_view, make_images
 from calib.events.flicker import Flicker
 from calib.stars.motion import shift_between_halves
 from simulators.optics.picture import TARGET, pose_rotation, project, render
-from simulators.pixels.sensor import simulate
 from simulators.world.truth import NOISE_LEVELS, Truth
 from simulators.world.world import LightState
 

@@ -59,11 +59,19 @@ Parts = Sequence[NDArray[Any]]
 def named(available: Iterable[str]) -> list[str | None]:
     """Return which of some names are those of t, x, y and p; None for each that is missing.
 
+    Raises NotARecording if events have two columns that could be their times: they may differ by more than a unit.
+
     >>> named(["Timestamp_us", "x", "y", "polarity"])
     ['Timestamp_us', 'x', 'y', 'polarity']
     """
-    small = {_split(name)[0]: name for name in reversed(list(available))}
-    return [next((small[name] for name in names if name in small), None) for names in _NAMES]
+    small = {name: _split(name)[0] for name in available}
+    found = [[name for known in names for name in small if small[name] == known] for names in _NAMES]
+    if all(found) and len(times := found[0]) > 1:
+        raise UnreadableEvents(
+            f"both {times[0]} and {times[1]} could be the times of its events.",
+            remedy="Give all but one of these columns another name in a copy of the file.",
+        )
+    return [next(iter(names), None) for names in found]
 
 
 def required(available: Iterable[str]) -> list[str]:

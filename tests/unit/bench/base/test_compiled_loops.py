@@ -8,6 +8,7 @@ from filled_stations import filled
 from bench.base import compiled_loops
 from bench.base.clock import BenchClock
 from bench.base.compiled_loops import SIMULATOR, STARS, compile_loops
+from bench.base.errors import UsageError
 from bench.base.kernel_cache import VARIABLE
 from bench.run.launch import Launch, start_run
 from bench.stations.station import SHIPPED_STATIONS
@@ -51,18 +52,24 @@ class _Wanted(Exception):
 @pytest.mark.parametrize(
     ("station", "programs"), [("simulated", {STARS, SIMULATOR}), ("example_evk4", {STARS})]
 )
-def test_a_run_wants_the_loops_of_its_station_before_its_folder_is_made(
+def test_a_run_wants_the_loops_of_its_station_in_a_folder_that_it_may_have(
     station, programs, tmp_path, monkeypatch
 ):
     def wanted(*asked):
         raise _Wanted(*asked)
 
+    def start():
+        launch = Launch(BenchClock())
+        start_run("three_pose", str(path), output=tmp_path / "run", seed=1, operator=None, launch=launch)
+
     path = tmp_path / "station.yaml"
     path.write_text(filled((SHIPPED_STATIONS / f"{station}.yaml").read_text()))
     monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
     monkeypatch.setattr("bench.run.launch.compile_loops", wanted)
-    launch = Launch(BenchClock())
-    with pytest.raises(_Wanted) as caught:
-        start_run("three_pose", str(path), output=tmp_path / "run", seed=1, operator=None, launch=launch)
-    assert set(caught.value.args) == programs
-    assert not (tmp_path / "run").exists()
+    for _ in range(2):  # what an interruption has left does not block the same command
+        with pytest.raises(_Wanted) as caught:
+            start()
+        assert set(caught.value.args) == programs
+    (tmp_path / "run" / "notes.txt").touch()
+    with pytest.raises(UsageError, match=r"notes\.txt"):
+        start()

@@ -259,3 +259,10 @@ def test_only_reserved_names_can_be_added_and_can_be_read_by_everybody_whatever_
 def test_the_time_that_a_folder_states(tmp_path, name, text, is_stated):
     (tmp_path / name).write_text(text)
     assert stated_time(tmp_path) == (datetime(2026, 3, 2, tzinfo=UTC) if is_stated else None)
+
+
+def test_a_link_of_a_folder_is_not_followed_for_its_time(tmp_path):
+    """It may lead to what never ends, such as the log of the kernel, which the system calls a file."""
+    (tmp_path / "endless").write_text('{"utc": "2026-03-02T00:00:00Z"}\n')
+    (tmp_path / "journal.jsonl").symlink_to("endless")
+    assert stated_time(tmp_path) is None

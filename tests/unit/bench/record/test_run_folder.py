@@ -273,8 +273,13 @@ def test_a_folder_that_a_run_left_before_its_first_line_is_used_by_the_same_comm
         folder.write_atomic("sequence.yaml", b"name: one")
         begin_journal(folder).close()
         (folder.path / "plan.json").write_bytes(b"{}")
-    with RunFolder.create(tmp_path / "run") as folder:
+    documents = ("sequence.yaml", "plan.json")
+    with RunFolder.create(tmp_path / "run", documents=documents) as folder:
         assert visible(folder.path) == []
+    (tmp_path / "run" / "notes.txt").touch()  # a person's
+    with pytest.raises(UsageError, match=r"notes\.txt"):
+        RunFolder.create(tmp_path / "run", documents=documents)
+    assert (tmp_path / "run" / "notes.txt").exists()
 
 
 def test_a_folder_with_a_line_of_a_run_or_with_files_of_somebody_is_left_alone(tmp_path):

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from slow_cases import first_quick
+from still_picture import simulate
 
 from simulators.pixels.biases import ALLOWED, PixelSettings
-from simulators.pixels.sensor import Link, Sensor, simulate
+from simulators.pixels.sensor import Link, Sensor
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth
 from simulators.world.world import LightState
 from tests.unit.simulators.pixels.ode_pixel import solve, solve_with_filters

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from still_picture import simulate
 
 from simulators.pixels.biases import ALLOWED, PixelSettings
 from simulators.pixels.evt3_writer import COUNTER_US, ERC_QUOTA, Evt3Writer, RateController
-from simulators.pixels.sensor import Events, Link, Sensor, draw_noise_rates, simulate
+from simulators.pixels.sensor import Events, Link, Sensor, draw_noise_rates
 from simulators.pixels.sensor_stream import sync_edges
 from simulators.world.truth import NoiseTruth
 from simulators.world.world import LightState

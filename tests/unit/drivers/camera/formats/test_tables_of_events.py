@@ -111,6 +111,16 @@ def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
     assert_same(import_events(text(tmp_path / "a.txt", head, order, separator, unit), SIZED))
 
 
+@pytest.mark.parametrize("times", [("t", "timestamp"), ("time_sec", "time_nsec")])
+def test_two_columns_of_times_are_named_and_none_is_taken(tmp_path, times):
+    names = ",".join((*times, "x", "y", "p"))
+    lines = [f"{t // 1000},{t},{x},{y},{p}" for t, x, y, p in zip(*ROWS.values(), strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join([names, *lines]))
+    with pytest.raises(NotARecording, match=f"{times[0]} and {times[1]}") as refused:
+        import_events(tmp_path / "a.csv", SIZED)
+    assert "another name" in refused.value.remedy
+
+
 def test_blank_lines_behind_the_events_are_none(tmp_path, monkeypatch):
     """Events in pieces of a third of the file, so that the blank lines stand alone at the end."""
     monkeypatch.setattr(table_files, "PIECE_EVENTS", N // 3)
