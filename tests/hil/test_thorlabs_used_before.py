@@ -130,6 +130,8 @@ def test_a_controller_that_does_not_tell_its_home_parameters_is_told(rig) -> Non
 
 def test_a_controller_that_rounds_speeds_and_ramps_to_its_own_steps_is_healthy(rig) -> None:
     rig.controller.speed_step = 8
+    rig.controller.restart(rig.line.clock.now_s)
+    rig.line.clock.sleep(2.0)
     rig.see_it_home_and_move(rig.reopen())
 
 
