@@ -32,7 +32,7 @@ def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_pa
     page = (folder / "report.html").read_text()
     assert page.index("FAIL: 1 of 2 limits kept.") < page.index("<h2>Result</h2>")
     assert 'class="verdict fail"' in page
-    called("verify", folder, "--again", home=home)
+    called("verify", folder, home=home)
     again = called("calibrate", folder, "-o", tmp_path / "again", home=home, status=4)
     assert again.stdout.startswith("FAIL: 1 of 2 limits kept.\n")
     assert results(tmp_path / "again")["conformity"] == results(folder)["conformity"]
