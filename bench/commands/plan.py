@@ -15,7 +15,7 @@ from bench.base.errors import UsageError
 from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, command, settings_of
 from bench.commands.output import JSON, show
 from bench.commands.values import WholeNumber
-from bench.wording.numbers import angle_text, duration
+from bench.wording.numbers import angle_text, duration, number
 from calib.model.result_parts import WORST_CORNER
 from sequences.kinds import QUEUE, kind_of_file
 
@@ -179,11 +179,11 @@ def _forecast_lines(plan_forecast: PlanForecast) -> Iterator[str]:
     fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
     direction = angle_text(URAD_PER_ARCSEC * k * forecast.projection_map.worst_arcsec)
     yield f"Expected with {plan_forecast.poses_text}, joint model; U with k = {k:.3g}:"
-    yield f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}"
+    yield f"  U(fx) {number(fx, 2)} px, U at the corners {number(corners, 2)} px, U of a direction at most {direction}"
     yield f"  {'largest parts of U, px':<44}{'fx':>8}{'corners':>10}"
     for row in _largest(forecast.budget_rows):
         parts = [k * row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
-        yield f"  {row.name:<44}{parts[0]:>8.2g}{parts[1]:>10.2g}"
+        yield f"  {row.name:<44}{number(parts[0], 2):>8}{number(parts[1], 2):>10}"
     yield from plan_forecast.remarks
 
 
@@ -200,15 +200,15 @@ def _suggestion_text(pose: WeighedPose, before: Forecast | None, forecast: Forec
     parts = ["the poses do not determine the camera yet"] if forecast is None else []
     if forecast is not None:
         for name, quantity in (("U(fx)", "expanded_fx"), ("U at the corners", WORST_CORNER)):
-            instead = f" instead of {before.limited[quantity]:.2g} px" if before is not None else ""
-            parts.append(f"{name} {forecast.limited[quantity]:.2g} px{instead}")
+            instead = f" instead of {number(before.limited[quantity], 2)} px" if before is not None else ""
+            parts.append(f"{name} {number(forecast.limited[quantity], 2)} px{instead}")
         parts[-1] += f" (k = {forecast.coverage_factor:.3g})"
     return f"Suggested: {{{angles}}}: {', '.join(parts)}"
 
 
 def _why(pose: WeighedPose) -> str:
     """Return why a pose is suggested, for programs."""
-    return f"largest uncertainty on the sensor {pose.after.worst_px:.2g} px, 1 sigma"
+    return f"largest uncertainty on the sensor {number(pose.after.worst_px, 2)} px, 1 sigma"
 
 
 def _show_night(queue: Path, begin: datetime | None) -> int:
@@ -293,5 +293,5 @@ def _job_lines(name: str, planned: Plan, forecast: PlanForecast | None) -> Itera
 def _expected_text(forecast: Forecast) -> str:
     """Return the expected expanded uncertainties of a job, with their coverage factor."""
     k = forecast.coverage_factor
-    values = ", ".join(f"{n} {k * forecast.sigma[n]:.2g}" for n in _SHOWN if n in forecast.sigma)
+    values = ", ".join(f"{n} {number(k * forecast.sigma[n], 2)}" for n in _SHOWN if n in forecast.sigma)
     return f"{values} (k = {k:.3g})"

@@ -7,7 +7,7 @@ to be done, the other is repeated.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from copy import copy
 
 from bench.plan.job import Job, ScriptStep
 from bench.record.device_end import NO_END
@@ -93,7 +93,8 @@ def intentions(job: Job, history: History, crash: str | None) -> list[str]:
     """Return what resuming a run will do, before it is done; ``crash`` tells how its process crashed."""
     if history.ended == "finished":
         return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]
-    history = replace(history, crashes=dict(history.crashes))
+    history = copy(history)
+    history.crashes = dict(history.crashes)
     count_crash(history, crash)
     names = pose_names(job, history)
     how = f"{history.ended}: {history.why.rstrip('.')}" if history.ended else crash or NO_END

@@ -155,17 +155,17 @@ def _doubt_of_unit(views: Sequence[View], known_r_mm: float | None) -> tuple[str
     r_mm = None if known_r_mm is None else closed_form_radius(views)
     plausible = r_mm is not None and PLAUSIBLE_R_MM[0] <= r_mm <= PLAUSIBLE_R_MM[1]
     if r_mm is not None and known_r_mm is not None:
-        why = f"The views give a collimator radius of {r_mm:.3g} mm, and {known_r_mm:.3g} mm is known."
+        why = f"The views give a collimator radius of {r_mm:.6g} mm, and {known_r_mm:.6g} mm is known."
         if plausible and (unit := _unit(r_mm / known_r_mm)) and unit != "micrometres":
             return why, _CERTIFICATE, unit
         if unit := _unit(known_r_mm / r_mm):
             return why, _TARGET, unit
     pitch = min(neighbours_of(view).spacing for view in views)
     if not PLAUSIBLE_PITCH_MM[0] <= pitch <= PLAUSIBLE_PITCH_MM[1]:
-        why = f"Neighbouring points of the target are {pitch:.3g} mm apart, which is implausible."
+        why = f"Neighbouring points of the target are {pitch:.6g} mm apart, which is implausible."
         return why, _TARGET, "metres" if pitch < 1.0 else "micrometres"
     if r_mm is not None and not plausible:
-        why = f"The views give a collimator radius of {r_mm:.3g} mm, which is implausible."
+        why = f"The views give a collimator radius of {r_mm:.6g} mm, which is implausible."
         return why, _TARGET, "metres" if r_mm < 1.0 else "micrometres" if r_mm > 1e5 else ""
     return "", "", ""
 

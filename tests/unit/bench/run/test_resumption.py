@@ -6,7 +6,7 @@ import pytest
 
 from bench.plan.job import Job
 from bench.record.events import Event
-from bench.record.history import History, replay
+from bench.record.history import Attempt, History, replay
 from bench.record.journal import Journal
 from bench.run.steps_to_do import (
     intentions,
@@ -102,8 +102,10 @@ def test_one_crash_at_a_pose_is_allowed_and_two_are_not(tmp_path):
 
 def test_resuming_states_what_is_kept_recorded_and_skipped(job):
     history = History(done_steps={1, 2, 3, 4, 5}, at_pose=2, crashes={2: 1}, to_skip={3: "ada"})
+    history.add(Attempt(1, "left", 1, {}, {"accepted": True}, "", ""))
     text = "\n".join(intentions(job, history, "Fatal Python error: Aborted"))
     assert "Fatal Python error: Aborted" in text
+    assert "1 of 3 poses" in text
     assert "Skip pose 2 (right)" in text
     assert "Skip pose 3 (below)" in text
     assert "Record pose" not in text

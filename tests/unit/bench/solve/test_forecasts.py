@@ -86,6 +86,20 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
     assert answer["suggested"][0].keys() == {"pan_deg", "tilt_deg", "worst_px", "rim_share", "why"}
 
 
+def test_a_large_uncertainty_is_printed_without_an_exponent(tmp_path, capsys):
+    """Poses close together, without a certificate, leave U of fx at 130 px."""
+    narrow = (
+        (SHIPPED_SEQUENCES / "three_pose.yaml").read_text().replace("6, tilt_deg: 2}", "0.5, tilt_deg: 0.5}")
+    )
+    narrow = narrow.replace("tilt_deg: -3}", "tilt_deg: -0.5}")
+    (tmp_path / "narrow.yaml").write_text(
+        narrow.replace("- solve: {", "- solve: {passport: none, readings: witness, ")
+    )
+    printed = out_of(capsys, "plan", tmp_path / "narrow.yaml", "-s", "simulated")
+    assert re.search(r"U\(fx\) \d{3,} px", printed)
+    assert "e+" not in printed
+
+
 # ---------------------------------------------------------------- poses that an until is expected to need
 
 GOAL = "sequence.steps.1.until."
