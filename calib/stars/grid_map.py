@@ -121,6 +121,7 @@ def fit_grid_map(grid: Array, points: Array) -> tuple[GridMap, Array]:
         residuals = off - design @ coefficients
         lengths = np.linalg.norm(residuals, axis=1)
         spare = max(1.0 - design.shape[1] / max(np.count_nonzero(kept), 1), 0.2)
+        # 1.1774: the median of Rayleigh's distribution of unit sigma
         sigma = float(np.median(lengths[kept])) / 1.1774 / np.sqrt(spare)
         now = lengths <= OUTLIER_SIGMAS * max(sigma, 1e-6)
         if (now == kept).all():

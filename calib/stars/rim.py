@@ -303,6 +303,7 @@ def _levels(image: NDArray[Any], stars: _Map, target: StarTarget) -> _Levels | N
         return None
     bright, dark = (_values(image, stars, offsets)[0] for offsets in (white, black))
     at_white, at_black = float(np.nanmedian(bright)), float(np.nanmedian(dark))
+    # From 1 sigma below the median to 1 above it, of normal levels.
     low, high = np.nanpercentile(bright if at_white > at_black else dark, [16.0, 84.0])
     if not abs(at_white - at_black) > 0.5 * (high - low):
         return None
