@@ -19,9 +19,9 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.effects.collimator import CENTRE
 from calib.joint.equations import State
-from calib.joint.evidence import odds_of, value_as_weighed
+from calib.joint.evidence import value_as_weighed
 from calib.joint.hypotheses import ANOTHER_THING
-from calib.joint.knowledge import ASPECT, CERTIFICATE, FOCAL, MIDDLE_SHARE, WRONG
+from calib.joint.knowledge import ASPECT, CERTIFICATE, WRONG
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.posed import Task, first_parameters, held_parameters, lens_names
 from calib.joint.poses import seen_poses
@@ -29,11 +29,11 @@ from calib.joint.pupils import shown_way
 from calib.joint.readings import MOST_SCATTER
 from calib.joint.solve import (
     CURVED,
+    TRUSTED,
     Optimum,
     approached,
     first_amplitudes,
     first_equations,
-    optimum_with_faults,
     relative_change,
     search,
     search_with_fault,
@@ -47,16 +47,8 @@ from calib.view import View
 #: A certificate may be refused if its radius differs by this share from what the views alone show: below that, doubts
 #: of it tell more.
 _OTHER_RADIUS = 0.1
-#: An end is clearly more probable from this on, in sigmas.
-_CLEARLY = 6.0
-#: From this difference on, the state is looked at to which a fault of a statement leads: camera, lens and fields would
-#: take up even so much.
-_OTHER_STATE = 0.02
 #: Near the optimum pixels are square to .3 % only, so that images that were stretched are found.
 _NEARLY_SQUARE = ((ASPECT, "10 times"),)
-#: A search that ends so far from its start, as a share of the focal length, begins again, so often at most, until fx to
-#: cy move by less than 2 sigma. A far pupil, three poses: cy was 71, 31, 6 and 1.7 px wrong.
-_FAR_START, _AGAIN = 0.05, 4
 #: The stars are explained if they scatter by no more than so many times what neighbouring stars show. On 41 ray-traced
 #: benches, right ends have 1.1 at most; ends at another camera have 1.24 or more, a mirror with fine errors has 1.9.
 AS_NEIGHBOURS = 1.15
@@ -78,18 +70,9 @@ class _DeniedError(Exception):
 class _Begin(NamedTuple):
     """Where a search begins."""
 
-    start: AdjustmentParameters
-    problem: Problem
-    state: State
     near: State  # What the views alone show, near the optimum
-    there: tuple[Problem, State]  # The same about that state
-
-
-class _End(NamedTuple):
-    """The end of a search."""
-
-    optimum: Optimum
-    begin: _Begin
+    problem: Problem  # About that state
+    state: State
 
 
 def adjust(
@@ -120,7 +103,7 @@ def optima(
     if seen.discs and (options.gimbal is None or options.gimbal.parallax is None):
         seen = seen._replace(pupil=pupil or shown_way(seen.discs))
     try:
-        ends = _searched_ends(Task(views, options, lens, seen), start)
+        return _searched_ends(Task(views, options, lens, seen), start)
     except (NotConverged, np.linalg.LinAlgError) as error:
         why = explain_weak_geometry(views, start)
         if not why:
@@ -129,18 +112,16 @@ def optima(
             f"These views do not determine the camera. {why}",
             remedy="Add views turned about other axes, with the stars elsewhere in the image.",
         ) from error
-    return [_with_certificate(end, options.max_iterations) for end in ends]
 
 
-def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
+def _searched_ends(task: Task, start: AdjustmentParameters) -> list[Optimum]:
     """Return the ends of searches, the most probable first: from the closed form, and from another start.
 
     A closed form follows the errors of a collimator along what the views hardly determine, focal length and radius in
-    proportion, and can end at eight times the camera. If its end leaves the stars or the readings unexplained, or the
-    principal point far from the middle of the image, the best start with a held radius is followed, too. Nothing is
-    blamed, refused or left out before.
+    proportion, and can end at eight times the camera. If its end leaves the stars or the readings unexplained,
+    the best start with a held radius is followed, too. Nothing is blamed, refused or left out before.
     """
-    ends, denied, failed = list[_End](), list[Optimum](), list[Exception]()
+    ends, denied, failed = list[Optimum](), list[Optimum](), list[Exception]()
 
     def begun(begin: AdjustmentParameters) -> _Begin | None:
         problem, state = task.posed(begin)
@@ -151,31 +132,31 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
         except (NotConverged, np.linalg.LinAlgError) as error:
             failed.append(error)
         else:
-            return _Begin(begin, problem, state, near, task.posed_at(near, problem, begin))
+            return _Begin(near, *task.posed_at(near, problem))
         return None
 
     for begin in _begins(task, start, begun):
         try:
-            ends.append(_searched(task, begin))
+            ends.append(_square_or_stretched(begin.problem, begin.state, task.options.max_iterations))
         except (NotConverged, np.linalg.LinAlgError) as error:
             failed.append(error)
         else:
-            if _explains(ends[-1].optimum, task.views):
+            if _explains(ends[-1], task.views):
                 break
     if denied:
         alone = min(denied, key=lambda optimum: optimum.solution.value)
-        if all(_is_less_probable(end.optimum, alone) for end in ends):
+        if all(_is_less_probable(end, alone) for end in ends):
             raise _of_another_collimator(alone, task)
     if not ends:
         raise failed[0]
-    first = ends[0].optimum
+    first = ends[0]
 
-    def value(end: _End) -> float:
-        return value_as_weighed(end.optimum, first)
+    def rank(end: Optimum) -> tuple[bool, float]:
+        return not end.converged, value_as_weighed(end, first)
 
-    ends.sort(key=value)
+    ends.sort(key=rank)
     with suppress(NotConverged, np.linalg.LinAlgError):  # the other ends stand
-        ends = sorted([*ends, *_about_middle(task, ends[0])], key=value)
+        ends = sorted([*ends, *_about_middle(task, ends[0])], key=rank)
     return ends
 
 
@@ -187,7 +168,7 @@ def _begins(
     A closed form with oblong pixels is probably not the camera, and a search from there is long. It comes last.
     """
     closed = begun(start)
-    late = closed is not None and bool(_far_fault(closed.there[0], closed.near, ASPECT))
+    late = closed is not None and _is_stretched(closed.problem, closed.near)
     if closed is not None and not late:
         yield closed
     few = task._replace(views=[_thinned(view) for view in task.views])
@@ -238,15 +219,10 @@ def _value_at(begin: tuple[Problem, State]) -> float:
 
 
 def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
-    """Tell whether the stars fit as neighbours agree with each other, the readings as stated, the middle as expected.
+    """Tell whether the stars fit as neighbours agree with each other, and the readings as stated.
 
-    Then no other camera could explain them better. Where poses turn little, cx and the centre can go far together.
+    Then no other camera could explain them better.
     """
-    size = np.array(views[0].image_size)
-    principal_point = optimum.state.shared[optimum.marginal.problem.bench.layout.places(("cx", "cy"))]
-    from_middle_px = np.abs(principal_point - 0.5 * (size - 1.0)).max()
-    if from_middle_px > MIDDLE_SHARE * np.hypot(*size):
-        return False
     reading = float(np.exp(optimum.eta[optimum.marginal.problem.hyper.at(amp.READING)]))
     return scatter_over_local(optimum, views) <= AS_NEIGHBOURS and reading < MOST_SCATTER
 
@@ -258,36 +234,14 @@ def scatter_over_local(optimum: Optimum, views: Sequence[View]) -> float:
     return float(np.sqrt(optimum.solution.star_variance)) / local
 
 
-def _searched(task: Task, begin: _Begin) -> _End:
-    """Return the end of a search.
-
-    Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended, until it
-    ends there: fields and what is expected of them are then stated for the right radius. An end stands only if it is
-    clearly more probable than the next. One that leaves the stars unexplained leads nowhere: another start does.
-    """
-    near, rounds = begin.near, task.options.max_iterations
-    optimum = _square_or_stretched(*begin.there, rounds)
-    moved = np.abs(optimum.state.shared[:2] / near.shared[:2] - 1.0).max()
-    for _ in range(_AGAIN if moved > _FAR_START else 0):
-        before = optimum
-        with suppress(NotConverged):  # this end stands
-            again = search(*task.posed_at(before.state, before.marginal.problem, begin.start), rounds)
-            end = before if _is_clearly_more_probable(before, again) else again
-            optimum = replace(end, iterations=before.iterations + again.iterations)
-        step, variances = optimum.state.shared - before.state.shared, np.diag(optimum.solution.covariance)
-        if (step**2 < 4.0 * variances)[:4].all() or not _explains(optimum, task.views):
-            break
-    return _End(optimum, begin)
-
-
-def _about_middle(task: Task, end: _End) -> list[_End]:
+def _about_middle(task: Task, end: Optimum) -> list[Optimum]:
     """Return the end of a search whose foot begins in the middle of the stars, if that of ``end`` is far beside it.
 
     Glass that is not round about its axis imitates another foot, and with it another radius, while the camera stays.
     """
     if task.knows_centre:
         return []
-    state, problem = end.optimum.state, end.optimum.marginal.problem
+    state, problem = end.state, end.marginal.problem
     bench, at = problem.bench, problem.bench.layout.places(CENTRE)
     foot, middle = state.shared[at], bench.stars.target_mm.mean(axis=0)
     beside = float(np.hypot(*(foot[:2] - middle)))
@@ -296,85 +250,24 @@ def _about_middle(task: Task, end: _End) -> list[_End]:
     expect(1)
     shared = state.shared.copy()
     shared[at] = *middle, np.hypot(foot[2], beside)  # what lies in the middle stays as far away
-    moved = bench.aligned(replace(state, shared=shared), end.optimum.marginal.equations.weights)
-    there = task.posed_at(moved, problem, end.begin.start)
-    optimum = _square_or_stretched(*there, task.options.max_iterations)
-    if end.optimum.converged and not optimum.converged:
-        return []
-    return [_End(replace(optimum, iterations=end.optimum.iterations + optimum.iterations), end.begin)]
-
-
-def _is_clearly_more_probable(end: Optimum, other: Optimum) -> bool:
-    """Tell whether the views make an end more probable than another with the star weights of either, and clearly so.
-
-    Each end weighs the stars so that its own outliers count little, and far from its state its equations do not hold.
-    """
-    with_own = value_as_weighed(other, end) - end.solution.value
-    with_others = other.solution.value - value_as_weighed(end, other)
-    return min(with_own, with_others) > 0.0 and 0.5 * (with_own + with_others) > _CLEARLY**2
+    moved = bench.aligned(replace(state, shared=shared), end.marginal.equations.weights)
+    return [_square_or_stretched(*task.posed_at(moved, problem), task.options.max_iterations)]
 
 
 def _square_or_stretched(problem: Problem, near: State, rounds: int) -> Optimum:
-    """Return the optimum near a state. Where that has no square pixels, images may have been stretched."""
+    """Return the optimum near a state. Where none has square pixels, images may have been stretched."""
     try:
-        optimum = search(problem, near, rounds)
+        return search(problem, near, rounds)
     except (NotConverged, np.linalg.LinAlgError):
-        if not (stretched := _far_fault(problem, near, ASPECT)):
+        if not _is_stretched(problem, near):
             raise
-        return search_with_fault(problem, near, stretched, rounds)
-    return _more_probable_place(optimum, near, ASPECT, rounds)
+        return search_with_fault(problem, near, ((ASPECT, WRONG),), rounds)
 
 
-def _far_fault(problem: Problem, near: State, name: str) -> tuple[tuple[str, str], ...]:
-    """Return the fault of a statement that differs from what the views show by several percent; none if it agrees."""
-    statement = problem.knowledge.witnesses.get(name)
-    if statement is None:
-        return ()
-    off = statement.values - statement.rows @ near.shared
-    if float(np.abs(off).max()) <= _OTHER_STATE * max(float(np.abs(statement.values).max()), 1.0):
-        return ()
-    return ((name, WRONG if statement.focal is None else FOCAL),)
-
-
-def _more_probable_place(optimum: Optimum, near: State, name: str, rounds: int) -> Optimum:
-    """Return the more probable of an optimum and of that to which a fault of a statement leads, if it is far away.
-
-    Large own errors of the poses would take up a certificate that is wrong by several percent.
-    """
-    faults = _far_fault(optimum.marginal.problem, near, name)
-    if faults:
-        with suppress(NotConverged, np.linalg.LinAlgError):
-            there = optimum_with_faults(optimum, faults, rounds, near)
-            odds = odds_of(there, faults, optimum)
-            return replace(there, fault_odds=odds) if odds > 1.0 else optimum
-    return optimum
-
-
-def _with_certificate(end: _End, rounds: int) -> Optimum:
-    """Return the most probable of the optimum, that to which a fault of the certificate leads, and that near the start.
-
-    Without the certificate, what the views hardly determine can lead the state far away, and the fields follow it. So
-    a certificate that they do not clearly contradict is held to from the start on before it is doubted.
-    """
-    _, problem, start, near, _ = end.begin
-    place = _more_probable_place(end.optimum, near, CERTIFICATE, rounds)
-    faults = _far_fault(problem, near, CERTIFICATE)
-    if place is end.optimum or place.fault_eta is None or faults != ((CERTIFICATE, WRONG),):
-        return place
-    certificate = problem.knowledge.witnesses[CERTIFICATE]
-    alone = place.marginal.solve(place.fault_eta, faults)
-    off = certificate.values - certificate.rows @ (place.state.shared + alone.step)
-    sigmas = np.sqrt(
-        np.diag(certificate.rows @ alone.covariance @ certificate.rows.T + certificate.covariance)
-    )
-    if float(np.abs(off / sigmas).max()) < _CLEARLY:
-        with suppress(NotConverged, np.linalg.LinAlgError):
-            held = _square_or_stretched(problem, start, rounds)
-            odds = odds_of(place, faults, held)
-            if odds < 1.0:
-                return replace(held, iterations=place.iterations + held.iterations)
-            return replace(place, fault_odds=min(odds, place.fault_odds))
-    return place
+def _is_stretched(problem: Problem, near: State) -> bool:
+    """Tell whether pixels are so oblong at a state that equations there do not hold for square ones."""
+    square = problem.knowledge.witnesses[ASPECT]
+    return float(np.abs(square.values - square.rows @ near.shared).max()) > TRUSTED
 
 
 def _approached(problem: Problem, start: State, task: Task) -> State:

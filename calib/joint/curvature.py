@@ -19,7 +19,7 @@ from calib.joint.marginal import Solution
 _LONGEST = 1.5
 _HALVINGS = 5
 #: Largest number of steps of a search.
-_MOST_STEPS = 20
+_MOST_STEPS = 30
 #: A search ends where a step promises less than this of -2 log: 0.01 is a tenth of a sigma.
 ROUGH, FINE = 0.02, 1e-3
 #: The curvature is found again after a step that changes a logarithm by more than this.

@@ -71,7 +71,7 @@ _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
 #: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
-MIDDLE_SHARE = 0.1
+_MIDDLE_SHARE = 0.1
 #: A certificate may be another collimator's, whose radius is within a factor of 1.5 (1-sigma).
 _ANY_RADIUS = 0.4
 #: If nobody had stated it, or stated it wrongly: the radius since a passport, the scale of an axis or a print, its
@@ -245,7 +245,7 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
 def _limits(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
     """Return priors so wide that they matter only where nothing else is known."""
     middle = 0.5 * (np.array(image_size) - 1.0)
-    wide = MIDDLE_SHARE * float(np.hypot(*image_size))
+    wide = _MIDDLE_SHARE * float(np.hypot(*image_size))
     limits = {"cx": (float(middle[0]), wide), "cy": (float(middle[1]), wide)}
     limits |= {name: (start[name], start[name]) for name in ("fx", "fy")}
     limits |= {name: (start[name], start["r"]) for name in CENTRE}

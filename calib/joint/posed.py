@@ -150,7 +150,7 @@ class Task(NamedTuple):
         """Return the problem and its first state."""
         return posed(self.views, self.options, start, self.lens, self.seen)
 
-    def posed_at(self, near: State, problem: Problem, start: AdjustmentParameters) -> tuple[Problem, State]:
+    def posed_at(self, near: State, problem: Problem) -> tuple[Problem, State]:
         """Return the problem about a state of another one, and its first state there: fields begin again at zero.
 
         Rotations and centre fit what shifts the image, in shares of the reference radius.
@@ -158,7 +158,8 @@ class Task(NamedTuple):
         before = problem.bench.layout
         named = dict(zip(before.names, near.shared.tolist(), strict=True))
         camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
-        problem, state = self.posed(AdjustmentParameters(camera, centre, near.rotations, start.offsets))
+        offsets = np.zeros((len(near.rotations), 3))
+        problem, state = self.posed(AdjustmentParameters(camera, centre, near.rotations, offsets))
         layout = problem.bench.layout
         shifts = layout.places((*layout.names_of(Aside), *layout.names_of(Parallax)))
         state.shared[shifts] = before.basis.reference[2] / layout.basis.reference[2] * near.shared[shifts]

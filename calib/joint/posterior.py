@@ -171,12 +171,12 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     """Return the posterior by the modes about an optimum, or about the most probable faults if these lead far from it.
 
     The equations at the state that such faults lead to say how much they count; the search of that state takes at most
-    ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false. By
-    the equations of a fault's state, what is far away counts as they were compared when the fault was chosen.
+    ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false. The
+    equations of a fault's state say nothing of what is far away.
     """
     optimum, nodes = modes.optimum, modes.nodes
-    if optimum.fault_eta is not None and any(_holds(optimum, node) for node in nodes):
-        return _mixture(modes, _limited_by_odds(optimum, nodes))
+    if optimum.fault_eta is not None and (held := [node for node in nodes if _holds(optimum, node)]):
+        return _mixture(modes, held)
     undoubted = max((node for node in nodes if not node.faults), key=_weight)
     begins = (0.0, undoubted.solution.step)  # doubts hold where their amplitudes do without doubts
     far = [node for node in nodes if node.faults and not any(_holds(optimum, node, at) for at in begins)]
@@ -200,17 +200,6 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     share = min(odds * undoubted.weight / likeliest.weight, 1.0)
     lowered = [replace(node, weight=share * node.weight) for node in far]
     return _mixture(modes, [*near, *lowered])
-
-
-def _limited_by_odds(optimum: Optimum, modes: Sequence[Node]) -> list[Node]:
-    """Return modes by the equations of a fault's state. Far ones count no more than the fault's odds leave to them."""
-    held = [mode for mode in modes if _holds(optimum, mode)]
-    far = [mode for mode in modes if not _holds(optimum, mode)]
-    most = sum(mode.weight for mode in held) / optimum.fault_odds
-    if not far or most == 0.0:
-        return held
-    share = min(most / sum(mode.weight for mode in far), 1.0)
-    return held + [replace(mode, weight=share * mode.weight) for mode in far]
 
 
 def _holds(optimum: Optimum, mode: Node, begin: Array | float = 0.0) -> bool:

@@ -18,7 +18,7 @@ from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.marginal import Solution
 from calib.joint.prior import Faults
-from calib.joint.solve import relative_step
+from calib.joint.solve import TRUSTED, relative_step
 
 #: Quantities whose variances say which directions of the logarithms matter.
 _QUANTITIES = ("fx", "cx", "cy")
@@ -27,8 +27,6 @@ _DIRECTIONS = len(_QUANTITIES)
 _STRETCH = 1.2
 #: No sample counts more than this many times the median one.
 LARGEST_WEIGHT = 10.0
-#: The linear equations hold for steps of this share of focal length and radius; samples beyond lose their weight.
-_HOLDS = 0.02
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,9 @@ def log_odds(solution: Solution, other: Solution, more: float = 0.0) -> float:
 
 def trusted(solution: Solution, other: Solution) -> float:
     """Return the weight, 0 to 1, that a solution keeps so far from another."""
-    return float(1.0 / (1.0 + (relative_step(solution.marginal, solution.step - other.step) / _HOLDS) ** 4))
+    return float(
+        1.0 / (1.0 + (relative_step(solution.marginal, solution.step - other.step) / (2.0 * TRUSTED)) ** 4)
+    )
 
 
 def _main_directions(solution: Solution, lower: Array) -> Array:

@@ -30,20 +30,18 @@ _FIRST_NOISE = 0.03
 #: Stars are weighed again in so many rounds with a short step, and then no more: a k-step M-estimator (Bickel, 1975).
 #: Where the errors at the rim are no smooth field, the weights would go on to fall for 20 rounds.
 _REWEIGHTED = 7
-#: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
-_SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
+#: A step is small if it moves camera and centre by less than this share of their sigmas.
+_SMALL_SHARE = 0.04
 #: From this round on a larger share is small: the result holds the last step, so that it lacks only where that bends.
 #: The amplitudes stay as they are: with a lens of the wrong family they would change for 100 rounds.
 _LATE, _LATE_SHARE = 20, 0.25
 #: A round that takes back what the last one did shortens all steps; others make them longer again.
 _SLOWER, _FASTER = 0.5, 1.5
-#: A start is near if a step moves no focal length by more than this share.
-_NEAR = 0.003
 _HALVINGS = 6
 #: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966); else half.
 _LEAST_GAIN = 0.1
-#: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
-_QUICK, _LONG = 3, 30
+#: Largest number of steps of a search of amplitudes in a round.
+_QUICK = 3
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
@@ -66,7 +64,6 @@ class Optimum:
     converged: bool
     # (A,) amplitudes with the faults that lead to this state (`optimum_with_faults`)
     fault_eta: Array | None = None
-    fault_odds: float = np.inf  # Of these faults here against none at another optimum
 
     @property
     def marginal(self) -> Marginal:
@@ -155,7 +152,8 @@ def _in_round(k: int, solution: Solution, pace: _Pace) -> tuple[Solution, _Pace]
     """
     if k == 0 or k >= _LATE:
         return solution, pace
-    better = trusted_amplitudes(solution)
+    with _solvable():
+        better = best_amplitudes(solution, _QUICK, farthest=_FARTHEST, enough=ROUGH)
     pace = pace.after(better.eta - solution.eta)
     if pace.size == 1.0:
         return better, pace
@@ -175,20 +173,19 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
         solution = solved(Marginal(problem, equations, state), first_amplitudes(problem, state))
         before = state
         state, lengths = shortened(solution)
-        if np.abs(state.shared[:2] / before.shared[:2] - 1.0).max() < _NEAR:
+        if np.abs(state.shared[:2] / before.shared[:2] - 1.0).max() < TRUSTED:
             break
         equations = first_equations(problem, state, lengths)
     return state
 
 
-def optimum_with_faults(optimum: Optimum, faults: Faults, rounds: int, start: State | None = None) -> Optimum:
+def optimum_with_faults(optimum: Optimum, faults: Faults, rounds: int) -> Optimum:
     """Return an optimum whose equations are those of the state that some faults of statements lead to.
 
-    A grossly wrong statement takes the state so far away that the equations do not hold where the others lead. The
-    search begins at the state of the optimum, or at a ``start`` that is known to be nearer.
+    A grossly wrong statement takes the state so far away that the equations do not hold where the others lead.
     """
     problem = optimum.marginal.problem
-    there = search_with_fault(problem, start or optimum.state, faults, rounds, optimum.eta)
+    there = search_with_fault(problem, optimum.state, faults, rounds, optimum.eta)
     return replace(there, iterations=optimum.iterations + there.iterations)
 
 
@@ -239,34 +236,16 @@ def solved(marginal: Marginal, eta: Array) -> Solution:
 
 
 def small(solution: Solution, share: float = _SMALL_SHARE) -> bool:
-    """Tell whether a step no longer matters: of camera and centre, in px or in shares of their sigmas."""
+    """Tell whether a step of camera and centre no longer matters."""
     layout = solution.marginal.problem.bench.layout
     at = layout.places((*layout.pose.camera, "x", "y", "r"))
-    steps, sigmas = np.abs(solution.step[at]), np.sqrt(np.diag(solution.covariance)[at])
-    return bool((steps < share * sigmas).all() or (steps[:4] < _SMALL_PX).all())
-
-
-def trusted_amplitudes(solution: Solution) -> Solution:
-    """Return the solution for better amplitudes. Its step ends where the equations hold; else they go half way back.
-
-    If the step is long with the old amplitudes too, one that is not longer is accepted. Otherwise a bad start would
-    keep its amplitudes.
-    """
-    marginal = solution.marginal
-    farthest = max(TRUSTED, relative_step(marginal, solution.step))
-    with _solvable():
-        better = best_amplitudes(solution, _QUICK, farthest=_FARTHEST, enough=ROUGH)
-    for _ in range(_HALVINGS):
-        if relative_step(marginal, better.step) < farthest:
-            return better
-        better = solved(marginal, 0.5 * (better.eta + solution.eta))
-    return solution
+    return bool((np.abs(solution.step[at]) < share * np.sqrt(np.diag(solution.covariance)[at])).all())
 
 
 def searched(solution: Solution) -> Solution:
     """Search the best amplitudes from a solution, and return theirs; `NotConverged` if there is none."""
     with _solvable():
-        return best_amplitudes(solution, _LONG)
+        return best_amplitudes(solution)
 
 
 def relative_step(marginal: Marginal, step: Array) -> float:
@@ -291,7 +270,7 @@ def shortened(solution: Solution, most: float = 1.0) -> tuple[State, Array]:
     bench = marginal.problem.bench
     before = cost(marginal, squares, marginal.state, marginal.equations.lengths)
     share = relative_step(marginal, solution.step)
-    size = min(most, _LONGEST / share) if share > 0 else most
+    size = min(most, _LONGEST / max(share, TRUSTED))
     for k in range(_HALVINGS):
         state = moved(marginal, squares, size * solution.step, size * solution.fields)
         lengths = bench.whitened(state)

@@ -116,8 +116,8 @@ def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen(
     assert not [note for note in stated if "mm from the pivot" in note]
 
 
-def test_a_search_that_began_far_away_begins_again_until_it_ends_where_it_began():
-    """It begins 16 % off in the focal length. Fields grew on the way, and held cy 71 px off, then 31 px at U 13 px."""
+def test_a_search_that_begins_far_away_ends_at_the_camera():
+    """It begins 16 % off in the focal length. Where fields grew on the way, they held cy 71 px off at U 13 px."""
     line = drawn_result("raytraced-far", 3, 461, "r")
     assert abs(line["error"]["cy"]) < line["U"]["cy"] < 15.0
 
