@@ -129,6 +129,7 @@ def _plan_lines(
         yield ""
         yield from (course.text for course in plan_forecast.courses)
         yield from _forecast_lines(plan_forecast)
+        yield from plan_forecast.remarks
     if suggested:
         from bench.solve.forecasts import forecasts_with
 
@@ -169,7 +170,7 @@ def _forecast_dict(plan_forecast: PlanForecast | None) -> dict[str, Any] | None:
 
 
 def _forecast_lines(plan_forecast: PlanForecast) -> Iterator[str]:
-    """Yield a forecast for people: expanded uncertainties, the largest terms, and remarks."""
+    """Yield a forecast for people: expanded uncertainties, and the largest terms."""
     from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC
 
     forecast = plan_forecast.forecast
@@ -184,7 +185,6 @@ def _forecast_lines(plan_forecast: PlanForecast) -> Iterator[str]:
     for row in _largest(forecast.budget_rows):
         parts = [k * row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
         yield f"  {row.name:<44}{number(parts[0], 2):>8}{number(parts[1], 2):>10}"
-    yield from plan_forecast.remarks
 
 
 def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:

@@ -130,9 +130,8 @@ def _seal(verification: Verification, folder: Path) -> bytes | None:
     try:
         manifest = folder / MANIFEST
         for path in (manifest, folder / SIGNATURE):
-            is_link = path.is_symlink()
-            if is_link or not path.is_file():
-                why = "this is a link, not a file" if is_link else "the file is missing"
+            if not is_plain_file(path):
+                why = "this is a link, not a file" if path.is_symlink() else "the file is missing"
                 verification.fault("unsealed", path.name, f"{why}; this folder is not sealed")
                 return None
         if manifest.stat().st_size > LARGEST_SEAL_BYTES:

@@ -19,6 +19,7 @@ from bench.solve.forecasts import (
     last_solve,
     poses_deg,
 )
+from bench.solve.forecasts import forecast as forecast_of
 from bench.solve.next_pose import Choice, Wish, choose_pose, would_leave
 from bench.wording.goals import beside_goal, goals_text, meaning_of_goal
 from calib.errors import DegenerateViews, TooFewStars
@@ -66,16 +67,18 @@ class PlanForecast:
 def expected_uncertainty(planned: Plan) -> PlanForecast | None:
     """Predict the uncertainties that a plan's poses give, also those that an ``until`` is expected to choose.
 
-    None if the station expects nothing, no poses are planned, or they do not determine the camera.
+    None if the station expects nothing, or no poses are planned.
     """
     if planned.station.value.expected is None or not planned.poses:
         return None
     bench = forecast_bench(planned)
     poses, courses = _poses_at_end(planned, bench)
-    forecast = forecast_if_enough(bench, poses)
-    if forecast is None and not courses:
-        return None
-    remarks = (*_missed(planned, bench, poses, forecast), *forecast.remarks) if forecast else ()
+    try:
+        forecast = forecast_of(bench, poses) if poses else None
+        remarks = (*_missed(planned, bench, poses, forecast), *forecast.remarks) if forecast else ()
+    except (TooFewStars, DegenerateViews) as error:
+        place = f"{error.where}: " if error.where else ""
+        forecast, remarks = None, (f"No uncertainty can be predicted: {place}{error.what}",)
     return PlanForecast(forecast, len(poses), len(poses) - len(planned.poses), tuple(courses), remarks)
 
 

@@ -144,7 +144,8 @@ def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None
     why, what, unit = _doubt_of_unit(views, known_r_mm)
     if unit and known_r_mm is not None:
         # Without this refusal, the adjustment would end in an obscure one.
-        raise InputMismatch(f"{why} The {what} look like {unit}.", where=what, remedy="Give them in mm.")
+        remedy = "Compare the lengths of target and certificate with what states them; give both in mm."
+        raise InputMismatch(f"{why} The {what} look like {unit}.", where=what, remedy=remedy)
     if unit:
         return f"{why} The {what} look like {unit}; give them in mm."
     return f"{why} Check that the {what} are in mm." if why else ""

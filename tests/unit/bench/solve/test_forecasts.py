@@ -9,6 +9,7 @@ from calling import out_of
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.solve.expectations import expected_uncertainty
 from bench.solve.forecasts import forecast_bench, suggest_poses
+from bench.stations.station import SHIPPED_STATIONS
 from calib.model.camera import distortion_names
 from calib.studies.pose_gains import distance_deg
 
@@ -98,6 +99,13 @@ def test_a_large_uncertainty_is_printed_without_an_exponent(tmp_path, capsys):
     printed = out_of(capsys, "plan", tmp_path / "narrow.yaml", "-s", "simulated")
     assert re.search(r"U\(fx\) \d{3,} px", printed)
     assert "e+" not in printed
+
+
+def test_the_plan_says_why_nothing_can_be_predicted(tmp_path, capsys):
+    station = (SHIPPED_STATIONS / "simulated.yaml").read_text()
+    (tmp_path / "large.yaml").write_text(f"{station}\ntarget: {{pitch_mm: 40}}\n")
+    printed = out_of(capsys, "plan", "three_pose", "-s", tmp_path / "large.yaml")
+    assert "pose 1: The tag will not be completely in the image" in printed
 
 
 # ---------------------------------------------------------------- poses that an until is expected to need
