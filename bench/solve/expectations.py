@@ -19,11 +19,10 @@ from bench.solve.forecasts import (
     last_solve,
     poses_deg,
 )
-from bench.solve.forecasts import forecast as forecast_of
 from bench.solve.next_pose import Choice, Wish, choose_pose, would_leave
 from bench.wording.goals import beside_goal, goals_text, meaning_of_goal
 from calib.errors import DegenerateViews, TooFewStars
-from calib.studies.planning import Forecast
+from calib.studies.planning import Forecast, forecast
 from calib.studies.predicted_views import ExpectedBench
 from sequences.script import ChooseStep, RecordStep, Until
 
@@ -74,12 +73,12 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
     bench = forecast_bench(planned)
     poses, courses = _poses_at_end(planned, bench)
     try:
-        forecast = forecast_of(bench, poses) if poses else None
-        remarks = (*_missed(planned, bench, poses, forecast), *forecast.remarks) if forecast else ()
+        predicted = forecast(bench, poses) if poses else None
+        remarks = (*_missed(planned, bench, poses, predicted), *predicted.remarks) if predicted else ()
     except (TooFewStars, DegenerateViews) as error:
         place = f"{error.where}: " if error.where else ""
-        forecast, remarks = None, (f"No uncertainty can be predicted: {place}{error.what}",)
-    return PlanForecast(forecast, len(poses), len(poses) - len(planned.poses), tuple(courses), remarks)
+        predicted, remarks = None, (f"No uncertainty can be predicted: {place}{error.what}",)
+    return PlanForecast(predicted, len(poses), len(poses) - len(planned.poses), tuple(courses), remarks)
 
 
 def _poses_at_end(planned: Plan, bench: ExpectedBench) -> tuple[Poses, list[ExpectedCourse]]:
