@@ -41,9 +41,9 @@ _NAMES: Final = (
 COLUMNS: Final = len(_NAMES)
 _UNITS: Final[Mapping[str, TimeUnit]] = {
     **dict.fromkeys(("s", "sec", "secs", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
+    **dict.fromkeys(("ms", "msec", "msecs", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "usecs", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanoseconds"), "ns"),
 }
 _UNIT_OF_NAME: Final = re.compile(r"(.*?)(?:_({0})|[ _]?[(\[]({0})[)\]])".format("|".join(_UNITS)))
 _MICRO: Final = re.compile("[\u00b5\u03bc]")
@@ -69,7 +69,7 @@ def named(available: Iterable[str]) -> list[str | None]:
     if all(found) and len(times := found[0]) > 1:
         raise UnreadableEvents(
             f"both {times[0]} and {times[1]} could be the times of its events.",
-            remedy="Give all but one of these columns another name in a copy of the file.",
+            remedy="In a copy of the file, one column must hold the whole times; give the others another name.",
         )
     return [next(iter(names), None) for names in found]
 

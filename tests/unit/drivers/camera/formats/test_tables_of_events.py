@@ -111,7 +111,7 @@ def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
     assert_same(import_events(text(tmp_path / "a.txt", head, order, separator, unit), SIZED))
 
 
-@pytest.mark.parametrize("times", [("t", "timestamp"), ("time_sec", "time_nsec")])
+@pytest.mark.parametrize("times", [("t", "timestamp"), ("time_secs", "time_nsecs")])
 def test_two_columns_of_times_are_named_and_none_is_taken(tmp_path, times):
     names = ",".join((*times, "x", "y", "p"))
     lines = [f"{t // 1000},{t},{x},{y},{p}" for t, x, y, p in zip(*ROWS.values(), strict=True)]
