@@ -14,7 +14,6 @@ import numpy as np
 from calib.adjustment.initialization import FOCAL_SHARES
 from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geometry
 from calib.calibration import CalibrationOptions
-from calib.diagnosis.gross_stars import noise_px
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.effects.collimator import CENTRE
@@ -51,7 +50,7 @@ _OTHER_RADIUS = 0.1
 _NEARLY_SQUARE = ((ASPECT, "10 times"),)
 #: The stars are explained if they scatter by no more than so many times what neighbouring stars show. On 41 ray-traced
 #: benches, right ends have 1.1 at most; ends at another camera have 1.24 or more, a mirror with fine errors has 1.9.
-AS_NEIGHBOURS = 1.15
+_AS_NEIGHBOURS = 1.15
 #: A foot that lies so far beside the middle of the stars, as a share of the radius, is looked for there, too: a target
 #: is square to its collimator to two degrees.
 _BESIDE = 0.035
@@ -141,7 +140,7 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[Optimum]:
         except (NotConverged, np.linalg.LinAlgError) as error:
             failed.append(error)
         else:
-            if _explains(ends[-1], task.views):
+            if _explains(ends[-1]):
                 break
     if denied:
         alone = min(denied, key=lambda optimum: optimum.solution.value)
@@ -218,20 +217,14 @@ def _value_at(begin: tuple[Problem, State]) -> float:
     return np.inf
 
 
-def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
+def _explains(optimum: Optimum) -> bool:
     """Tell whether the stars fit as neighbours agree with each other, and the readings as stated.
 
     Then no other camera could explain them better.
     """
     reading = float(np.exp(optimum.eta[optimum.marginal.problem.hyper.at(amp.READING)]))
-    return scatter_over_local(optimum, views) <= AS_NEIGHBOURS and reading < MOST_SCATTER
-
-
-def scatter_over_local(optimum: Optimum, views: Sequence[View]) -> float:
-    """Return how many times as far stars scatter as neighbours show; NaN if no view has enough stars."""
-    stated = [np.sqrt(0.5 * np.median(np.trace(view.covariances_px2, axis1=1, axis2=2))) for view in views]
-    local = float(np.median([noise_px(view) / sigma for view, sigma in zip(views, stated, strict=True)]))
-    return float(np.sqrt(optimum.solution.star_variance)) / local
+    scatter = float(np.sqrt(optimum.solution.star_variance)) / optimum.marginal.problem.bench.stars.local
+    return scatter <= _AS_NEIGHBOURS and reading < MOST_SCATTER
 
 
 def _about_middle(task: Task, end: Optimum) -> list[Optimum]:

@@ -66,7 +66,7 @@ _LARGEST_PARALLAX = 0.03
 _NOISIEST_READINGS, _NOISIEST_STARS = 1e6, 1e4
 #: No star is taken as found better than this, px: a tenth of what the best recordings show. Stars that are more exact
 #: than the shapes of the fields are (points without noise) would deny what is stated: U(fx) was 33 px in place of 1.3.
-_FINEST_STARS_PX = 1e-3
+FINEST_PX = 1e-3
 
 
 class Pupil(Enum):
@@ -197,7 +197,7 @@ class Hyperprior:
         high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
         high[self.at(PARALLAX)] = np.log(_LARGEST_PARALLAX)
         high[self.at(READING)], high[self.at(STAR)] = np.log([_NOISIEST_READINGS, _NOISIEST_STARS])
-        finest = min(_FINEST_STARS_PX / self.star_px, 1.0)  # Stars that are stated as finer are believed
+        finest = min(FINEST_PX / self.star_px, 1.0)  # Stars that are stated as finer are believed
         low[self.at(STAR)] = max(low[self.at(STAR)], np.log(finest))
         return list(zip(low.tolist(), high.tolist(), strict=True))
 

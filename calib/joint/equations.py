@@ -19,6 +19,7 @@ from calib.adjustment.bundle import mapped
 from calib.arrays import Array
 from calib.joint.effects.effect import Places, Turned
 from calib.joint.effects.gimbal import GimbalErrors
+from calib.joint.fields import DEGREE
 from calib.joint.layout import Layout
 from calib.joint.readings import Readings
 from calib.joint.stars import RimNoise, Stars, robust_weights
@@ -56,10 +57,10 @@ class Equations:
     off: Array  # (m, 3) readings to the stars' best rotation, rad; no rows without readings
     gimbal: Array  # (m, 3, g) change of the predicted rotations
     lengths: Array  # (N,) whitened lengths of the residuals
-    weights: Array  # (N,) robust weights times the share of the view and the precision
+    weights: Array  # (N,) robust weights times the share that is new and the precision
     precisions: Array  # (N,) of `Stars.precision`
     rim: RimNoise
-    shares: Array  # (m,) share of each view that is new; 1 without repeats of a pose
+    shares: Array  # (m,) mean share of the stars of each view that is new
     of_views: Array  # (m, B, B) what each view adds to ``squares``
     right_of_views: Array  # (m, B) what each view adds to ``right``
 
@@ -185,9 +186,12 @@ class Bench:
         limit: float = 1.0,
         before: Equations | None = None,
         entries: Places | None = None,
+        *,
+        is_near: bool = False,
     ) -> Equations:
         """Return the equations; ``limit`` is the stars' sigma over the stated one; weights are those of ``before``.
 
+        Far from the optimum, residuals do not show what neighbours share.
         Only some ``entries`` of the bases may be asked for: all others are zero then.
         """
         stars = self.stars
@@ -197,11 +201,13 @@ class Bench:
         lengths = np.where(in_camera[:, 2] > 0.0, np.hypot(*residuals), np.nan)
         rim = before.rim if before else stars.rim_noise(lengths)
         precisions = before.precisions if before else stars.precision(rim)
-        weights = (
-            before.weights if before else precisions * robust_weights(np.sqrt(precisions) * lengths, limit)
-        )
-        shares = before.shares if before else self._shares(weights, residuals)
-        weights = weights if before else shares[stars.views] * weights
+        if before:
+            weights, shares = before.weights, before.shares
+        else:
+            weights = precisions * robust_weights(np.sqrt(precisions) * lengths, limit)
+            new = self._new(weights, residuals, neighbours=is_near)
+            weights = new * weights
+            shares = np.bincount(stars.views, new) / np.bincount(stars.views)
         slopes = mapped(stars.whitening, np.concatenate([by_camera, by_point], axis=2).transpose(2, 1, 0))
         views = self._compressed(state, in_camera, residuals, slopes, weights, entries)
         off, jacobian = np.zeros((0, 3)), np.zeros((0, 3, 0))
@@ -235,28 +241,39 @@ class Bench:
         np.add.at(sums, self.poses, values)
         return sums
 
-    def _shares(self, weights: Array, residuals: Array) -> Array:
-        """Return (m,) the share of each view that is new: 1 / (1 + (n - 1) rho) in a pose of n views.
+    @cached_property
+    def _alike(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(N,) the star that each is, and its cell of the target: half the shortest wave of a field. Both of a pose."""
+        stars, basis = self.stars, self.layout.basis
+        cells = np.round((stars.target_mm - basis.reference[:2]) * (DEGREE / basis.radius_mm))
+        star, cell = (
+            np.unique(np.column_stack([self.poses[stars.views], places]), axis=0, return_inverse=True)[1]
+            for places in (np.round(stars.target_mm, _SAME_STAR), cells)
+        )
+        return star.reshape(-1), cell.reshape(-1)
 
-        rho is the correlation of the residuals (2, N) of one star in the views of a pose: what no smooth field holds,
-        an error at the rim or of finding this star, comes again in each repeat. n views of correlation rho determine
-        what they have in common as well as n times this share (Kish, 1965, design effect).
+    def _new(self, weights: Array, residuals: Array, *, neighbours: bool) -> Array:
+        """Return (N,) the share of each star that is new: 1 / (1 + (n - 1) rho) of n stars that are alike.
+
+        rho is the correlation of their whitened residuals (2, N). What no smooth field holds comes again: an error of
+        finding a star in each repeat of its pose; fine errors of the glass in its neighbours, as far as these show less
+        noise than all stars have. n of correlation rho determine what they have in common as well as n times this share
+        (Kish, 1965, design effect).
         """
-        views = np.bincount(self.poses)
-        if (views == 1).all():
-            return np.ones(len(self.poses))
-        poses = self.poses[self.stars.views]
-        again = views[poses] > 1
-        places = np.column_stack([poses, np.round(self.stars.target_mm, _SAME_STAR)])[again]
-        star = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
-        roots = np.sqrt(weights[again])
-        weighted = roots * residuals[:, again]
-        sums = [np.bincount(star, row) for row in (*weighted, roots)]
-        both = float((sums[0] ** 2 + sums[1] ** 2).sum() - (weighted**2).sum())
-        pairs = float((sums[2] ** 2).sum() - (roots**2).sum())
-        squares = float(weights @ (residuals**2).sum(axis=0))
-        alike = both * float(weights.sum()) / max(pairs * squares, np.finfo(float).tiny)
-        return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
+        roots, whole = np.sqrt(weights), float(weights.sum())
+        weighted = roots * residuals
+        squares = max(float((weighted**2).sum()), np.finfo(float).tiny)
+        of_glass = 1.0 - 2.0 * self.stars.local**2 * whole / squares
+        star, cell = self._alike
+        products, pairs = _of_pairs(star, weighted, roots)
+        rho = products / squares * whole / max(pairs, 1.0)
+        times = 1.0 + (np.bincount(star)[star] - 1) * max(0.0, min(1.0, rho))
+        if neighbours:
+            in_cell = _of_pairs(cell, weighted, roots)
+            rho = (in_cell[0] - products) / squares * whole / max(in_cell[1] - pairs, 1.0)
+            others = np.bincount(cell, 1.0 / times)[cell] - 1.0
+            times = times * (1.0 + others * max(0.0, min(of_glass, rho)))
+        return np.asarray(1.0 / times)
 
     def _compressed(
         self,
@@ -345,6 +362,15 @@ class _ViewEquations(NamedTuple):
         self.right[v, entries], self.cost[v] = whole[:size, size], whole[size, size]
         self.turn[v] = upper.T @ upper
         self.coupling[v][:, entries], self.turned[v] = solved[:, :size], solved[:, size]
+
+
+def _of_pairs(at: NDArray[np.int64], weighted: Array, roots: Array) -> tuple[float, float]:
+    """Return the sums over all pairs of (N,) groups: of the products of (2, N) weighted residuals, and of weights."""
+    sums = [np.bincount(at, row) for row in (*weighted, roots)]
+    return (
+        float((sums[0] ** 2 + sums[1] ** 2).sum() - (weighted**2).sum()),
+        float((sums[2] ** 2).sum() - (roots**2).sum()),
+    )
 
 
 def _by_turn(in_camera: Array, by_point: Array) -> Array:

@@ -70,11 +70,6 @@ class _Explanation(NamedTuple):
         """Its optimum."""
         return self.modes.optimum
 
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """What orders explanations: first those whose search ended, then the more probable ones."""
-        return self.optimum.converged, self.log_odds
-
 
 def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterior:
     """Return the posterior of views over lenses and ways of the pupil, as far as neither is decided.
@@ -93,7 +88,8 @@ def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterio
 
 
 def _rank(explanation: _Explanation) -> tuple[bool, float]:
-    return explanation.rank
+    """Return what orders explanations: first those whose search ended, then the more probable ones."""
+    return explanation.optimum.converged, explanation.log_odds
 
 
 def _mixture(explanations: Sequence[_Explanation], rounds: int) -> Posterior:

@@ -40,12 +40,7 @@ class Modes:
     @property
     def log_odds(self) -> float:
         """Logarithm of the odds of all modes together against the first without doubts."""
-        return math.log(self.whole) + self.scale
-
-    @property
-    def whole(self) -> float:
-        """Weight of all modes together."""
-        return sum(mode.weight for mode in self.nodes)
+        return math.log(sum(mode.weight for mode in self.nodes)) + self.scale
 
     def fault_probabilities(self, modes: Sequence[Node]) -> dict[str, float]:
         """Return by name of the statement how probable its fault is, by some of the modes or others."""

@@ -70,7 +70,7 @@ def calibrate_jointly(
     of_focus = focus.as_cause(kept) if focus else None
     of_views = shifted, of_focus, find_other_origins(posterior.optimum, kept)
     result = replace(result, causes=find_causes(result, posterior, of_views, options))
-    return replace(result, notes=notes(result, posterior, kept))
+    return replace(result, notes=notes(result, posterior))
 
 
 def _kept(views: Sequence[View], used: Sequence[NDArray[np.bool_]]) -> list[View]:

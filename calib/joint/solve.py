@@ -117,7 +117,8 @@ def search(problem: Problem, start: State, rounds: int, eta: Array | None = None
             problem, state, lengths = _placed(solution, state, pace.size)
         eta, spread = solution.eta, robust_sigma(lengths)
         limit = max(spread, float(np.sqrt(solution.star_variance))) if k else 3.0 * spread
-        equations = problem.bench.linearised(state, limit, equations if short_steps >= _REWEIGHTED else None)
+        before = equations if short_steps >= _REWEIGHTED else None
+        equations = problem.bench.linearised(state, limit, before, is_near=short_steps > 0)
     return Optimum(marginal.solve(eta), rounds, converged=False)
 
 

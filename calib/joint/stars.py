@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Array
+from calib.diagnosis.gross_stars import noise_px
+from calib.joint.amplitudes import FINEST_PX
 from calib.joint.effects.rim import BEYOND, AroundDiscs
 from calib.joint.fields import FieldBasis
 from calib.model.rim_fit import Disc
@@ -55,6 +57,7 @@ class Stars:
     polynomials: Array  # (N, K)
     sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
     discs: tuple[Disc, ...]  # Visible disc of each view, if the rim is in view
+    local: float  # 1-sigma that neighbouring stars show, over the stated one; NaN if views have few stars
 
     @classmethod
     def of(cls, views: Sequence[View], basis: FieldBasis, discs: Sequence[Disc] = ()) -> Stars:
@@ -74,6 +77,7 @@ class Stars:
             basis.polynomials(target_mm),
             np.linalg.det(whitening) ** -0.5,
             tuple(discs),
+            float(np.median([max(noise_px(view), FINEST_PX) / _usual_sigma_px(view) for view in views])),
         )
 
     def moved(self, shifts_mm: Array, basis: FieldBasis) -> Stars:
@@ -126,6 +130,11 @@ class Stars:
             own = self.precision(RimNoise(size, edge_px))
             costs.append(float(np.minimum(own * scaled, _LONGEST**2).sum()) - 2.0 * float(np.log(own).sum()))
         return RimNoise(_RIM_ALIKE * usual * float(_RIM_NOISES[np.argmin(costs)]), edge_px)
+
+
+def _usual_sigma_px(view: View) -> float:
+    """Return the stated noise of a view's median star, per axis."""
+    return float(np.sqrt(0.5 * np.median(np.trace(view.covariances_px2, axis1=1, axis2=2))))
 
 
 def robust_weights(lengths: Array, limit: float) -> Array:

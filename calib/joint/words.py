@@ -14,7 +14,6 @@ from calib.adjustment.parameters import (
 )
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
-from calib.joint.adjust import AS_NEIGHBOURS, scatter_over_local
 from calib.joint.hypotheses import OTHER_OPTIMUM
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
 from calib.joint.posterior import Posterior
@@ -101,7 +100,7 @@ def _free_unknown(posterior: Posterior, at: int) -> str:
     return problem.bench.layout.names[int(np.argmax(widest.rows[0]))]
 
 
-def notes(result: Calibration, posterior: Posterior, views: Sequence[View]) -> tuple[str, ...]:
+def notes(result: Calibration, posterior: Posterior) -> tuple[str, ...]:
     """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
     explained, length = {name for cause in result.causes for name in cause.explains}, _length(posterior)
     named = [
@@ -120,7 +119,6 @@ def notes(result: Calibration, posterior: Posterior, views: Sequence[View]) -> t
     if READINGS not in explained:
         sentences += [_readings(result), _contradiction(result)]
     sentences += [
-        _fine_errors(scatter_over_local(posterior.reported, views)),
         _two_optima(posterior),
         length,
         "" if PARALLAX in explained else _denied(posterior),
@@ -169,17 +167,6 @@ def _length(posterior: Posterior) -> str:
         "The certificate of the collimator does not say which length it states. By what the views show, it is the "
         f"focal length with a probability of {share:.0%}, and else the length that this camera sees. The uncertainties "
         "cover both. State which one it is (length: focal_length or seen)."
-    )
-
-
-def _fine_errors(scatter: float) -> str:
-    """Return a note if the stars have errors that neighbours share and no field holds: they are no noise."""
-    if not scatter > AS_NEIGHBOURS:
-        return ""
-    return (
-        f"The stars lie {scatter:.1f} times as far from this camera as the noise of neighbouring stars explains. "
-        "Probably the collimator has errors that are finer than the fields of this model. The uncertainties take them "
-        "for noise, so those of cx and cy can be much too small. Roll the camera between the poses."
     )
 
 

@@ -29,3 +29,9 @@ def test_a_hand_beside_a_right_certificate_accuses_neither_certificate_nor_ids()
     assert line["rms_px"] < 0.05
     assert abs(line["error"]["fx"]) < line["U"]["fx"]
     assert not [note for note in line["notes"] if "ids" in note]
+
+
+def test_a_mirror_with_errors_finer_than_the_fields_moves_no_principal_point():
+    """Its stars lie 1.9 times as far off as neighbours show. Taken for noise, that moved cx by 60 px, 7 U."""
+    line = drawn_result("stranger", 0, 2209, "r")
+    assert abs(line["error"]["cx"]) < line["U"]["cx"] < 25.0
