@@ -262,7 +262,7 @@ class Bench:
         """
         roots, whole = np.sqrt(weights), float(weights.sum())
         weighted = roots * residuals
-        squares = max(float((weighted**2).sum()), np.finfo(float).tiny)
+        squares = max(float((weighted**2).sum()), np.finfo(float).eps ** 2 * whole)  # 0 in a forecast
         of_glass = 1.0 - 2.0 * self.stars.local**2 * whole / squares
         star, cell = self._alike
         products, pairs = _of_pairs(star, weighted, roots)
