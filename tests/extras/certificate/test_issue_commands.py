@@ -43,7 +43,7 @@ def bench(tmp_path, monkeypatch):
         mock.patch.object(issue_module, "certificate_files", quick_files),
         mock.patch.object(certificate, "verify_sealed", verified),
         mock.patch.object(certificate, "datetime", LaterClock),
-        mock.patch("bench.record.ledger.bench_ledger", return_value=ledger),
+        mock.patch.object(certificate, "bench_ledger", return_value=ledger),
         mock.patch("bench.extras.certificate.pdf.plots_of_run", return_value={}),
     ):
         yield tmp_path
