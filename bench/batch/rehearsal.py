@@ -50,7 +50,7 @@ FAULTLESS: MeasuredFacts = {
 }
 """Numbers of each rehearsed recording: in a virtual room nothing shakes, one light flickers, and no pixel is dead."""
 COUNTED = {"triggers_missed", "flicker_off_percent", "data_rate_gbit_s", "rate_controller_loss_percent"}
-"""Numbers of gates that come of what the virtual light and camera state."""
+"""Numbers that other gates find in what the virtual light and camera state."""
 
 
 class RehearsedKind(EventKind):
@@ -108,7 +108,7 @@ class RehearsedResults(ResultWriter):
     def __init__(self, job: RehearsedJob, folder: RunFolder) -> None:
         super().__init__(job, folder)
         self._clock = job.clock
-        self._calibration: Calibration  # A plan has no report without a solve step before it
+        self._calibration: Calibration  # `solve` sets it: each plan solves before it reports
 
     def solve(
         self,
@@ -226,6 +226,10 @@ def _journal_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, ag
         software=run_software(job.station),
         **plugins_of_run(job.station),
     )
+    _name_gates_without_numbers(journal, job)
+
+
+def _name_gates_without_numbers(journal: Journal, job: RehearsedJob) -> None:
     numbers = {*FAULTLESS, *FAULTLESS["image"], *COUNTED}
     gates = {name for step in job.steps if isinstance(step, RecordStep) for name in step.gates.limits}
     for name in sorted(gate for gate in gates if gate.split("_", 1)[1] not in numbers):

@@ -88,7 +88,7 @@ class ResultWriter:
         self.outcome: Outcome | None = None
         self._job = job
         self._folder = folder
-        self._solution: Solution  # A plan has no report without a solve step before it
+        self._solution: Solution  # `solve` sets it: each plan solves before it reports
 
     def solve(
         self,

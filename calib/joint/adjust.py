@@ -117,8 +117,8 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[Optimum]:
     """Return the ends of searches, the most probable first: from the closed form, and from another start.
 
     A closed form follows the errors of a collimator along what the views hardly determine, focal length and radius in
-    proportion, and can end at eight times the camera. If its end leaves the stars or the readings unexplained,
-    the best start with a held radius is followed, too. Nothing is blamed, refused or left out before.
+    proportion, and can end at eight times the camera. Where the stars or the readings do not fit at its end, a second
+    search begins at the best start with a held radius. Nothing is blamed, refused or left out before.
     """
     ends, denied, failed = list[Optimum](), list[Optimum](), list[Exception]()
 

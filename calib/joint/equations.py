@@ -191,7 +191,7 @@ class Bench:
     ) -> Equations:
         """Return the equations; ``limit`` is the stars' sigma over the stated one; weights are those of ``before``.
 
-        Far from the optimum, residuals do not show what neighbours share.
+        ``is_near``: only near the optimum, residuals show what neighbours share.
         Only some ``entries`` of the bases may be asked for: all others are zero then.
         """
         stars = self.stars
@@ -365,7 +365,7 @@ class _ViewEquations(NamedTuple):
 
 
 def _of_pairs(at: NDArray[np.int64], weighted: Array, roots: Array) -> tuple[float, float]:
-    """Return the sums over all pairs of (N,) groups: of the products of (2, N) weighted residuals, and of weights."""
+    """Return the sums of products of (2, N) residuals, and of (N,) roots, over all pairs within the same (N,) group."""
     sums = [np.bincount(at, row) for row in (*weighted, roots)]
     return (
         float((sums[0] ** 2 + sums[1] ** 2).sum() - (weighted**2).sum()),

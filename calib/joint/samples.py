@@ -81,7 +81,7 @@ def log_odds(solution: Solution, other: Solution, more: float = 0.0) -> float:
 
 
 def trusted(solution: Solution, other: Solution) -> float:
-    """Return the weight, 0 to 1, that a solution keeps so far from another."""
+    """Return the weight, 0 to 1, that a solution keeps so far from another: half at twice what is trusted."""
     return float(
         1.0 / (1.0 + (relative_step(solution.marginal, solution.step - other.step) / (2.0 * TRUSTED)) ** 4)
     )

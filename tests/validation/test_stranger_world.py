@@ -32,6 +32,6 @@ def test_a_hand_beside_a_right_certificate_accuses_neither_certificate_nor_ids()
 
 
 def test_a_mirror_with_errors_finer_than_the_fields_moves_no_principal_point():
-    """Its stars lie 1.9 times as far off as neighbours show. Taken for noise, that moved cx by 60 px, 7 U."""
+    """Its stars scatter 1.9 times as much as neighbours differ. When that counted as noise, cx was wrong by 60 px, 7 U."""
     line = drawn_result("stranger", 0, 2209, "r")
     assert abs(line["error"]["cx"]) < line["U"]["cx"] < 25.0

@@ -68,7 +68,7 @@ def named(available: Iterable[str]) -> list[str | None]:
     found = [[name for known in names for name in small if small[name] == known] for names in _NAMES]
     if all(found) and len(times := found[0]) > 1:
         raise UnreadableEvents(
-            f"both {times[0]} and {times[1]} could be the times of its events.",
+            f"the columns {times[0]} and {times[1]} could both hold the times of its events.",
             remedy="In a copy of the file, one column must hold the whole times; give the others another name.",
         )
     return [next(iter(names), None) for names in found]
