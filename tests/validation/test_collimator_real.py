@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from monte_carlo_runs import jackknife
+from jackknife import jackknife
 from opencv_planar import NO_LENS, NO_TANGENTIAL, RADIAL_2, by_opencv
 
 from calib import CalibrationOptions, StarTarget, calibrate

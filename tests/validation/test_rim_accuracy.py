@@ -11,8 +11,6 @@ from calib.stars.rim import find_rim
 from simulators.optics.collimator_errors import disc_of
 from simulators.optics.picture import TARGET, pose_rotation
 from simulators.world.truth_config import truth_from_config
-from tests.support.drawn_rims import POSES as RIM_POSES
-from tests.support.drawn_rims import draw_rims
 from tests.support.short_recordings import images_of, record
 
 POSES = [(pan, tilt) for pan in (-6, 0, 6) for tilt in (-2.5, 0, 2.5)]
@@ -48,35 +46,3 @@ def test_discs_of_round_rims_are_known_to_half_a_millimetre(collimator, waveform
     assert np.sqrt((errors**2).mean()) < 0.3
     assert np.abs(errors).max() < 0.5
     assert score < 1.5
-
-
-def scores_without_images(profile, poses, seeds):
-    """Return the root mean square of all errors, mm, and of the errors over their sigmas, for drawn rims."""
-    errors, squares = [], []
-    for seed in seeds:
-        truth = truth_from_config({"collimator": {"profile": profile, "glass_seed": seed}})
-        bench = draw_rims(truth, poses, seed)
-        for disc, true in zip(bench.fitted(), bench.discs_mm, strict=True):
-            off = disc.centre_mm - true
-            errors.append(off)
-            squares.append(off @ np.linalg.solve(disc.covariance_mm2, off) / 2)
-    return np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(squares))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("profile", "poses", "largest_rms", "largest_score"),
-    [
-        ("S1", "narrow", 5.0, 1.45),
-        ("S1", "wide", 4.5, 1.3),
-        ("S2", "narrow", 2.5, 1.2),
-        ("S3", "narrow", 2.5, 1.2),
-        ("S3", "wide", 2.0, 1.2),
-        ("like-bench", "narrow", 0.3, 1.2),
-    ],
-)
-def test_where_rims_differ_from_view_to_view_the_sigmas_are_true(profile, poses, largest_rms, largest_score):
-    """Ten benches: with S1, the score of one bench of nine narrow poses lies anywhere between 0.6 and 1.9."""
-    rms, score = scores_without_images(profile, RIM_POSES[poses], range(1, 11))
-    assert rms < largest_rms
-    assert 0.3 < score < largest_score

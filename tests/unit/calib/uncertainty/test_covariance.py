@@ -4,23 +4,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from monte_carlo_runs import jackknife
+from jackknife import jackknife
+from made_views import shifted
+from scipy import stats
 from slow_cases import first_quick
 
 from calib import CalibrationOptions, CameraModel, calibrate
 from calib.errors import DegenerateViews
 from calib.fit import fit_model
+from calib.model.result_parts import COVERAGE
 from calib.uncertainty.covariance import leave_one_out, predicted_residuals, without_pose
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty, sensor_grid
 
 
-def z_scores(bench, options, runs, seed):
-    z = []
+def with_outliers(view, share, rng):
+    """A view of which some share of the stars is wrong by 2 px, 1 sigma per axis."""
+    wrong = rng.random(len(view)) < share
+    return shifted(view, wrong, 2.0 * rng.standard_normal((int(wrong.sum()), 2)))
+
+
+def z_scores(bench, options, runs, seed, outliers=0.0):
+    """Errors over their stated sigmas, and over U, of calibrations that differ in the noise of the stars."""
+    z, over = [], []
     for i in range(runs):
-        result = calibrate(bench.views(np.random.default_rng([seed, i]), 0.05), options)
-        truth = np.array([bench.truth[name] for name in result.parameter_names])
-        z.append((result.estimates - truth) / np.sqrt(np.diag(result.covariance)))
-    return np.array(z)
+        rng = np.random.default_rng([seed, i])
+        views = [with_outliers(view, outliers, rng) for view in bench.views(rng, 0.05)]
+        result = calibrate(views, options)
+        names = result.parameter_names
+        off = result.estimates - [bench.truth[name] for name in names]
+        z.append(off / np.sqrt(np.diag(result.covariance)))
+        over.append(off / [result.U[name] for name in names])
+    return np.array(z), np.array(over)
 
 
 def in_the_band(z):
@@ -32,9 +46,23 @@ def in_the_band(z):
     "options", first_quick([CalibrationOptions("spherical"), CalibrationOptions(model="planar", loss="l2")])
 )
 def test_sigmas_are_those_of_repeated_calibrations(bench, options):
-    z = z_scores(bench, options, 30, 12)
+    z, _ = z_scores(bench, options, 30, 12)
     assert in_the_band(z).all()
     assert not in_the_band(2.5 * z).any()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("loss", "outliers"), [("l2", 0), ("huber", 0), ("huber", 0.02), ("cauchy", 0.02)])
+def test_two_sigma_intervals_cover_as_often_as_they_should(make_bench, loss, outliers):
+    """Of 500 calibrations by JCGM 101:2008, within what 999 of 1000 such studies show; with half the sigmas they do not."""
+    bench, options = make_bench(half_angle_deg=4.5), CalibrationOptions("spherical", loss=loss)
+    z, over = z_scores(bench, options, 500, 17, outliers)
+    low, high = np.array(stats.binom.interval(0.999, len(z), COVERAGE)) / len(z)
+    covered = (np.abs(over) <= 1.0).mean(axis=0)
+    assert ((low <= covered) & (covered <= high)).all()
+    assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.05)
+    assert ((np.abs(over) <= 0.5).mean(axis=0) < low).all()
 
 
 def test_the_variance_factor_shows_star_covariances_that_are_too_small(bench):
