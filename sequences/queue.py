@@ -54,9 +54,8 @@ class JobConfig(StrictModel):
     name: Key
     sequence: File
     station: File
-    settings: dict[SettingPath, Value] = Field(
-        default_factory=dict, description="Values that replace those of the files, as YAML by path."
-    )
+    settings: dict[SettingPath, Value] = Field(default_factory=dict)
+    """Values that replace those of the files, as YAML by path."""
     operator: Name | None = None
     seed: Annotated[int, Field(ge=0, le=2**62)] | None = None
     priority: Annotated[int, Field(ge=-100, le=100)] = 0

@@ -53,8 +53,10 @@ class RuleConfig(StrictModel):
 class ResultLimitConfig(RuleConfig):
     """Limits of one result of a run, in its own unit: px, mm, or none."""
 
-    result: Annotated[LimitedResult, Field(description="Symbol of the result, such as fx.")]
-    specification: Annotated[str, Field(max_length=300, description="Where the limits come from.")] = ""
+    result: LimitedResult
+    """Symbol of the result, such as fx."""
+    specification: Annotated[str, Field(max_length=300)] = ""
+    """Where the limits come from."""
 
 
 ResultLimits = Annotated[tuple[ResultLimitConfig, ...], Field(max_length=100)]
@@ -65,12 +67,10 @@ class FlickerConfig(StrictModel):
 
     waveform: Waveform = "square"
     frequency_hz: Annotated[float, Within(0.001, 100_000, "Hz")] = 60.0
-    duty_percent: Annotated[
-        float, Within(0.01, 99.99, "%"), Field(description="Bright part of a period.")
-    ] = 50.0
-    level_percent: Annotated[
-        float, Within(0.01, 100, "%"), Field(description="Percent of the station's brightest level.")
-    ] = 100.0
+    duty_percent: Annotated[float, Within(0.01, 99.99, "%")] = 50.0
+    """Bright part of a period."""
+    level_percent: Annotated[float, Within(0.01, 100, "%")] = 100.0
+    """Percent of the station's brightest level."""
 
 
 class LightConfig(FlickerConfig):
@@ -197,64 +197,50 @@ class GateConfig(StrictModel):
     """Conditions that a recording must meet to be accepted."""
 
     min_stars: Annotated[int, Field(ge=0, le=100_000)] = 40
-    max_event_rate_mev_s: Annotated[
-        float | None, Field(gt=0, le=10_000, description="Default 200; 500 under a sine.")
-    ] = None
+    max_event_rate_mev_s: Annotated[float | None, Field(gt=0, le=10_000)] = None
+    """Default 200; 500 under a sine."""
     max_data_rate_gbit_s: NotNegative | None = None
-    require_triggers: Annotated[bool, Field(description="Every flicker period must have its sync edge.")] = (
-        True
-    )
-    max_motion_px: Annotated[
-        NotNegative, Field(description="Image motion between the two halves of the window.")
-    ] = 0.05
+    require_triggers: bool = True
+    """Every flicker period must have its sync edge."""
+    max_motion_px: NotNegative = 0.05
+    """Image motion between the two halves of the window."""
     max_triggers_missed: NotNegative = 1
     max_trigger_jitter_us: NotNegative | None = None
-    max_flicker_off_percent: Annotated[
-        NotNegative | None,
-        Field(description="Measured frequency against the set one; default 0.1 by triggers, 0.5 by events."),
-    ] = None
-    max_flicker_disagreement_percent: Annotated[
-        NotNegative | None,
-        Field(description="Frequency by triggers against frequency by events; default 0.5, 5 under a sine."),
-    ] = None
+    max_flicker_off_percent: NotNegative | None = None
+    """Measured frequency against the set one; default 0.1 by triggers, 0.5 by events."""
+    max_flicker_disagreement_percent: NotNegative | None = None
+    """Frequency by triggers against frequency by events; default 0.5, 5 under a sine."""
     max_rate_controller_loss_percent: NotNegative = 1.0
-    max_silent_rows: Annotated[
-        NotNegative, Field(description="Rows without events between rows with events.")
-    ] = 3
+    max_silent_rows: NotNegative = 3
+    """Rows without events between rows with events."""
     max_hot_pixels: NotNegative | None = None
-    min_flicker_duty: Annotated[
-        NotNegative | None, Field(description="Part of a period in which the sync signal is high, 0 to 1.")
-    ] = None
+    min_flicker_duty: NotNegative | None = None
+    """Part of a period in which the sync signal is high, 0 to 1."""
     max_flicker_duty: NotNegative | None = None
-    min_lit_pixels: Annotated[
-        NotNegative | None, Field(description="Pixels that fire at nearly every edge.")
-    ] = None
+    min_lit_pixels: NotNegative | None = None
+    """Pixels that fire at nearly every edge."""
     min_events_per_edge: NotNegative | None = None
     max_events_per_edge: NotNegative | None = None
     min_on_share: NotNegative | None = None
     max_on_share: NotNegative | None = None
     max_first_on_spread_us: NotNegative | None = None
-    max_edge_width_px: Annotated[
-        NotNegative | None, Field(description="Blur of the stars' edges by lens and pixel together.")
-    ] = None
+    max_edge_width_px: NotNegative | None = None
+    """Blur of the stars' edges by lens and pixel together."""
 
 
 class RecordConfig(StrictModel):
     """Record the flicker at the current pose and find the stars in it."""
 
-    window_ms: Annotated[
-        float, Within(0.01, 60_000, "ms"), Field(description="Rounded to whole flicker periods.")
-    ] = 33.0
+    window_ms: Annotated[float, Within(0.01, 60_000, "ms")] = 33.0
+    """Rounded to whole flicker periods."""
     image: ImageKind = "auto"
     attempts: Annotated[int, Field(ge=1, le=20)] = 2
-    backoff_s: Annotated[
-        float,
-        Field(ge=0, le=600, description="Pause before the second attempt; doubles before each further one."),
-    ] = 0.0
-    on_failure: Annotated[OnFailure, Field(description="What to do when no attempt is left.")] = "fail"
-    hold_s: Annotated[float, Field(gt=0, le=7 * 86_400, description="How long hold waits for an answer.")] = (
-        3600.0
-    )
+    backoff_s: Annotated[float, Field(ge=0, le=600)] = 0.0
+    """Pause before the second attempt; doubles before each further one."""
+    on_failure: OnFailure = "fail"
+    """What to do when no attempt is left."""
+    hold_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 3600.0
+    """How long hold waits for an answer."""
     gates: GateConfig = GateConfig()
 
 
@@ -279,15 +265,15 @@ class ReportConfig(StrictModel):
 class UntilConfig(StrictModel):
     """Record poses, and choose each next one, until the uncertainties meet their goals or a bound ends the step."""
 
-    expanded_fx_px: Annotated[Limit, Field(description="Goal: expanded uncertainty of fx.")] = None
-    worst_corner_px: Annotated[
-        Limit, Field(description="Goal: largest expanded uncertainty of a corner of the image.")
-    ] = None
-    at_most: Annotated[
-        int, Field(ge=2, le=500, description="Accepted recordings of this step, those of start included.")
-    ] = 25
+    expanded_fx_px: Limit = None
+    """Goal: expanded uncertainty of fx."""
+    worst_corner_px: Limit = None
+    """Goal: largest expanded uncertainty of a corner of the image."""
+    at_most: Annotated[int, Field(ge=2, le=500)] = 25
+    """Accepted recordings of this step, those of start included."""
     minutes: Annotated[float, Field(gt=0, le=10_080, description="Time that the step works.")] | None = None
-    start: Annotated[PoseSetOrName | None, Field(description="Poses to record first.")] = None
+    start: PoseSetOrName | None = None
+    """Poses to record first."""
     settle: SettleConfig = SettleConfig()
     record: RecordConfig = RecordConfig()
 

@@ -75,38 +75,25 @@ def _set_or_list(value: Any) -> str:
 class SolveConfig(StrictModel):
     """Calibrate from the poses recorded so far."""
 
-    model: Annotated[
-        CalibrationModel | None,
-        Field(description="Default: joint, also written auto."),
-    ] = None
+    model: CalibrationModel | None = None
+    """Default: joint, also written auto."""
     distortion: Annotated[
         Annotated[DistortionSet, Tag("set")] | Annotated[tuple[DistortionTerm, ...], Tag("list")],
         Discriminator(_set_or_list),
     ] = ("k1", "k2")
-    loss: Annotated[Loss | None, Field(description="Default: huber.")] = None
+    loss: Loss | None = None
+    """Default: huber."""
     huber_px: Annotated[float, Within(0.001, 100, "px")] | None = None
-    passport: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            max_length=4096,
-            description="Passport file of the collimator, instead of the station's; none: use no passport.",
-        ),
-    ] = None
-    other_collimator: Annotated[
-        Literal["refuse", "accept"], Field(description="Passport of another collimator than the station's.")
-    ] = "refuse"
-    readings: Annotated[
-        Readings, Field(description="witness: the gimbal's readings never enter the adjustment.")
-    ] = "auto"
-    guard_band: Annotated[float, Within(0.05, 1), Field(description="Share of the beam's radius to use.")] = (
-        1.0
-    )
-    drift_mm: Annotated[
-        float,
-        Within(1e-6, 1000, "mm"),
-        Field(description="Of sequences of earlier versions; it has no effect."),
-    ] = 0.3
+    passport: Annotated[str | None, Field(min_length=1, max_length=4096)] = None
+    """Passport file of the collimator, instead of the station's; none: use no passport."""
+    other_collimator: Literal["refuse", "accept"] = "refuse"
+    """Passport of another collimator than the station's."""
+    readings: Readings = "auto"
+    """witness: the gimbal's readings never enter the adjustment."""
+    guard_band: Annotated[float, Within(0.05, 1)] = 1.0
+    """Share of the beam's radius to use."""
+    drift_mm: Annotated[float, Within(1e-6, 1000, "mm")] = 0.3
+    """Of sequences of earlier versions; it has no effect."""
     limits: LimitConfig = LimitConfig()
 
     @field_validator("distortion")
@@ -127,12 +114,5 @@ class SolveConfig(StrictModel):
 class CheckConfig(SolveConfig):
     """Calibrate from the poses so far, as a solve does, and check a stated calibration by the result."""
 
-    calibration: Annotated[
-        str,
-        Field(
-            min_length=1,
-            max_length=4096,
-            description="The calibration to check: a run folder, results.json, or a file of OpenCV, ROS, Kalibr or"
-            " Metavision.",
-        ),
-    ]
+    calibration: Annotated[str, Field(min_length=1, max_length=4096)]
+    """The calibration to check: a run folder, results.json, or a file of OpenCV, ROS, Kalibr or Metavision."""

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import functools
+import inspect
 import re
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -142,11 +148,32 @@ class StrictModel(BaseModel):
     def __get_pydantic_json_schema__(
         cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """Allow the bare words in the exported schema too."""
+        """Describe the keys by what stands below them, and allow the bare words in the exported schema too."""
         reference = handler(core_schema)
+        schema = handler.resolve_ref_schema(reference)
+        for base in reversed(cls.__mro__):
+            if issubclass(base, StrictModel):
+                for name, text in _below_keys(base.__module__).get(base.__name__, {}).items():
+                    schema.get("properties", {}).get(name, {}).update(description=text)
         if cls.bare_words:
-            schema = handler.resolve_ref_schema(reference)
             mapping = dict(schema)
             schema.clear()
             schema["anyOf"] = [{"enum": list(cls.bare_words)}, mapping]
         return reference
+
+
+@functools.cache
+def _below_keys(module: str) -> dict[str, dict[str, str]]:
+    """Return by class and name the texts below the keys of a module; pydantic would read them at every start."""
+    try:
+        parsed = ast.parse(inspect.getsource(sys.modules[module]))
+    except (OSError, TypeError):  # a module without a file
+        return {}
+    return {model.name: dict(_texts(model)) for model in parsed.body if isinstance(model, ast.ClassDef)}
+
+
+def _texts(model: ast.ClassDef) -> Iterator[tuple[str, str]]:
+    for statement, below in pairwise(model.body):
+        match statement, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                yield name, " ".join(text.split())

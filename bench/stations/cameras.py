@@ -8,9 +8,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.base.clock import BenchClock
@@ -84,16 +84,14 @@ class OpenCvCameraConfig(FrameCameraSection):
     """A video source that OpenCV opens: a video device or a network camera."""
 
     driver: Literal["opencv"]
-    source: Annotated[
-        VideoSource | None,
-        Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://)."),
-    ] = None
-    source_env: Annotated[
-        Variable | None,
-        Field(description="Environment variable that holds the source, for a URL with a password."),
-    ] = None
-    exposure: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
-    gain: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
+    source: VideoSource | None = None
+    """/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://)."""
+    source_env: Variable | None = None
+    """Environment variable that holds the source, for a URL with a password."""
+    exposure: float | None = None
+    """In the units of the camera's driver."""
+    gain: float | None = None
+    """In the units of the camera's driver."""
 
     @property
     def ports(self) -> tuple[str, ...]:

@@ -55,10 +55,10 @@ class AxisConfig(StrictModel):
     scale_key: ClassVar[str] = ""
     """The key that holds the steps of a degree; empty where the controller counts in degrees."""
 
-    zero_deg: Annotated[Angle, Field(description="Angle at which the counter of the controller is 0.")] = 0.0
-    limits_deg: Annotated[
-        tuple[Angle, Angle], Field(description="Lowest and highest angle allowed on the bench.")
-    ]
+    zero_deg: Angle = 0.0
+    """Angle at which the counter of the controller is 0."""
+    limits_deg: tuple[Angle, Angle]
+    """Lowest and highest angle allowed on the bench."""
     speed_deg_s: Speed
     acceleration_deg_s2: Annotated[float, Within(0.001, 100_000, "deg/s^2")]
     tolerance_deg: Tolerance = 0.002
@@ -109,19 +109,12 @@ class LineParameters(TypedDict):
 class SerialLine(StrictModel):
     """Keys of a serial line that every driver with one port has; each driver has its own baud rate."""
 
-    rtscts: Annotated[
-        bool | None,
-        Field(
-            description="Whether the lines RTS and CTS hold the sender. Default: as the maker of the device says."
-        ),
-    ] = None
-    frame: Annotated[
-        Frame | None,
-        Field(description="Data bits, parity and stop bits. Default: as the maker of the device says."),
-    ] = None
-    xonxoff: Annotated[
-        bool | None, Field(description="Whether the bytes XON and XOFF hold the sender. Default: false.")
-    ] = None
+    rtscts: bool | None = None
+    """Whether the lines RTS and CTS hold the sender. Default: as the maker of the device says."""
+    frame: Frame | None = None
+    """Data bits, parity and stop bits. Default: as the maker of the device says."""
+    xonxoff: bool | None = None
+    """Whether the bytes XON and XOFF hold the sender. Default: false."""
 
     if TYPE_CHECKING:
 
@@ -355,12 +348,8 @@ class EventCameraSection(_CameraSection):
 
     serial: Serial
     biases: BiasesConfig = BiasesConfig()
-    roi: Annotated[
-        tuple[NotNegative, NotNegative, Pixels, Pixels] | None,
-        Field(
-            description="Region of interest: column, row, width, height, px. Only the driver `metavision` sets it."
-        ),
-    ] = None
+    roi: tuple[NotNegative, NotNegative, Pixels, Pixels] | None = None
+    """Region of interest: column, row, width, height, px. Only the driver `metavision` sets it."""
 
     @abstractmethod
     def open_device(self, port: PortName, *, clock: BenchClock) -> EventCamera:
@@ -386,12 +375,10 @@ class EventCameraSection(_CameraSection):
 class FrameCameraSection(_CameraSection):
     """A frame camera section that opens its own driver. A subclass has the key ``driver``. Its light is steady."""
 
-    serial: Annotated[
-        str, Field(max_length=64, description="Serial number on USB. If it is empty, any camera is accepted.")
-    ] = ""
-    pictures: Annotated[
-        int, Field(ge=1, le=1000, description="Number of pictures that are averaged at each pose.")
-    ] = 8
+    serial: Annotated[str, Field(max_length=64)] = ""
+    """Serial number on USB. If it is empty, any camera is accepted."""
+    pictures: Annotated[int, Field(ge=1, le=1000)] = 8
+    """Number of pictures that are averaged at each pose."""
 
     def settings(self) -> FrameSettings:
         """Return the settings for the driver.

@@ -49,28 +49,16 @@ class ThorlabsAxisConfig(AxisConfig):
 
     scale_key: ClassVar[str] = "counts_per_deg"
     port: Port
-    serial: Annotated[Serial, Field(description="Serial number of the controller, from its label.")]
-    counts_per_deg: Annotated[
-        Scale,
-        Field(
-            description="136533.333 for a K10CR1, 1919.6418579 for a PRM1Z8; negative if the counter decreases."
-        ),
-    ]
-    home_offset_deg: Annotated[
-        Angle | None,
-        Field(
-            description="Angle from the reference switch to the zero, as the controller counts it."
-            " Default: 4 (K10CR1, PRM1Z8)."
-        ),
-    ] = None
-    home_direction: Annotated[
-        Literal["forward", "reverse"] | None,
-        Field(description="Direction of the reference search. Default: reverse (K10CR1, PRM1Z8)."),
-    ] = None
-    home_speed_deg_s: Annotated[
-        Speed | None,
-        Field(description="Speed of the reference search. Default: 10, or speed_deg_s if lower."),
-    ] = None
+    serial: Serial
+    """Serial number of the controller, from its label."""
+    counts_per_deg: Scale
+    """136533.333 for a K10CR1, 1919.6418579 for a PRM1Z8; negative if the counter decreases."""
+    home_offset_deg: Angle | None = None
+    """Angle from the reference switch to the zero, as the controller counts it. Default: 4 (K10CR1, PRM1Z8)."""
+    home_direction: Literal["forward", "reverse"] | None = None
+    """Direction of the reference search. Default: reverse (K10CR1, PRM1Z8)."""
+    home_speed_deg_s: Speed | None = None
+    """Speed of the reference search. Default: 10, or speed_deg_s if lower."""
     tolerance_deg: Tolerance = 0.005
 
 
@@ -93,25 +81,22 @@ class ZaberAxisConfig(AxisConfig):
     """One rotary axis of a Zaber chain."""
 
     scale_key: ClassVar[str] = "microsteps_per_deg"
-    device: Annotated[int, Field(ge=1, le=99, description="Address in the chain.")]
+    device: Annotated[int, Field(ge=1, le=99)]
+    """Address in the chain."""
     axis: Annotated[int, Field(ge=1, le=9)] = 1
     serial: Serial
-    microsteps_per_deg: Annotated[
-        Scale,
-        Field(description="Negative if the counter decreases while the angle increases."),
-    ]
-    resolution: Annotated[
-        int, Field(ge=1, le=256, description="Microsteps a step for which microsteps_per_deg holds.")
-    ] = 64
+    microsteps_per_deg: Scale
+    """Negative if the counter decreases while the angle increases."""
+    resolution: Annotated[int, Field(ge=1, le=256)] = 64
+    """Microsteps a step for which microsteps_per_deg holds."""
     settings: Annotated[
         dict[
             Annotated[str, Form(r"^[a-z][a-z0-9.]{1,60}$", "the name of a setting, such as driver.dir")],
             float,
         ],
-        Field(
-            max_length=40, description="Settings that change angles, such as driver.dir, and their values."
-        ),
+        Field(max_length=40),
     ] = Field(default_factory=dict)
+    """Settings that change angles, such as driver.dir, and their values."""
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
@@ -142,19 +127,14 @@ class XimcAxisConfig(AxisConfig):
     scale_key: ClassVar[str] = "steps_per_deg"
     port: Port
     serial: Serial
-    steps_per_deg: Annotated[Scale, Field(description="Full steps; negative if the counter decreases.")]
+    steps_per_deg: Scale
+    """Full steps; negative if the counter decreases."""
     encoder_counts_per_deg: Scale | None = None
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
-    home_offset_deg: Annotated[
-        Angle | None,
-        Field(
-            description="From the sensor to the zero. Default: none; a controller that goes on is then refused."
-        ),
-    ] = None
-    reversed: Annotated[
-        bool | None,
-        Field(description="Whether the controller reverses the motor. Default: not compared."),
-    ] = None
+    home_offset_deg: Angle | None = None
+    """From the sensor to the zero. Default: none; a controller that goes on is then refused."""
+    reversed: bool | None = None
+    """Whether the controller reverses the motor. Default: not compared."""
 
 
 class XimcStageConfig(AnyStage):
@@ -176,18 +156,10 @@ class GrblAxisConfig(AxisConfig):
     """One axis of a home-built gimbal."""
 
     scale_key: ClassVar[str] = "steps_per_deg"
-    letter: Annotated[
-        Literal["X", "Y", "Z", "A", "B", "C", "U", "V", "W"],
-        Field(description="Letter of the axis on the board."),
-    ]
-    steps_per_deg: Annotated[
-        float,
-        Within(0.01, 1e9, "steps/deg"),
-        ToFillIn,
-        Field(
-            description="Must equal the setting of the board: $100 for its first axis, $101 for its second, and so on."
-        ),
-    ]
+    letter: Literal["X", "Y", "Z", "A", "B", "C", "U", "V", "W"]
+    """Letter of the axis on the board."""
+    steps_per_deg: Annotated[float, Within(0.01, 1e9, "steps/deg"), ToFillIn]
+    """Must equal the setting of the board: $100 for its first axis, $101 for its second, and so on."""
 
 
 class GrblStageConfig(SerialLine, AnyStage):
@@ -197,17 +169,16 @@ class GrblStageConfig(SerialLine, AnyStage):
     driver: Literal["grbl"]
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 115_200
-    serial: Annotated[
-        Serial | None,
-        Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
-    ] = None
+    serial: Serial | None = None
+    """Name given to the board with $I=.... Without it, any board is accepted."""
     settings: Annotated[
         dict[
             Annotated[str, Form(r"^\$([0-9]{1,4}|/[a-z0-9_/]{1,80})$", "the name of a setting, such as $3")],
             float,
         ],
-        Field(max_length=40, description="Settings that change angles, such as $3, and their values."),
+        Field(max_length=40),
     ] = Field(default_factory=dict)
+    """Settings that change angles, such as $3, and their values."""
     axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), differing("letter")]
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
@@ -227,20 +198,13 @@ class EspAxisConfig(AxisConfig):
     """One axis of a Newport ESP controller, which works in degrees."""
 
     number: Annotated[int, Field(ge=1, le=3)]
-    serial: Annotated[
-        Serial, Field(description="Serial number of the stage, from the controller's answer to 1ID?.")
-    ]
-    home_mode: Annotated[
-        Literal[1, 2, 3, 4, 5, 6],
-        Field(description="Method of the reference search: the number of the command OR."),
-    ] = 1
+    serial: Serial
+    """Serial number of the stage, from the controller's answer to 1ID?."""
+    home_mode: Literal[1, 2, 3, 4, 5, 6] = 1
+    """Method of the reference search: the number of the command OR."""
     direction: Literal[1, -1] = 1
-    resolution_deg: Annotated[
-        Annotated[float, Within(1e-9, 10, "deg")] | None,
-        Field(
-            description="Degrees of an encoder count, as the answer to 1SU? must be. Default: not compared."
-        ),
-    ] = None
+    resolution_deg: Annotated[float, Within(1e-9, 10, "deg")] | None = None
+    """Degrees of an encoder count, as the answer to 1SU? must be. Default: not compared."""
 
     @field_validator("direction", "home_mode", mode="before")
     @classmethod
@@ -297,12 +261,14 @@ class ScpiLightConfig(SerialLine, AnyLight):
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 9600
     serial: Serial | None = None
-    dialect: Annotated[
-        DialectName, Field(description="Command dialect of the generator; see docs/stations.md.")
-    ] = "keysight"
-    load: Annotated[Load, Field(description="Load impedance for which the levels are stated.")] = "high-z"
-    low_v: Annotated[Volts, Field(description="Level at which the lamp is dark, V.")] = 0.0
-    high_v: Annotated[Volts, ToFillIn, Field(description="Level at which the lamp is brightest, V.")] = 5.0
+    dialect: DialectName = "keysight"
+    """Command dialect of the generator; see docs/stations.md."""
+    load: Load = "high-z"
+    """Load impedance for which the levels are stated."""
+    low_v: Volts = 0.0
+    """Level at which the lamp is dark, V."""
+    high_v: Annotated[Volts, ToFillIn] = 5.0
+    """Level at which the lamp is brightest, V."""
     frequency_range_hz: tuple[Hertz, Hertz] = (0.1, 10_000.0)
     sync_output: bool = True
 
@@ -338,13 +304,12 @@ class GardasoftLightConfig(SerialLine, AnyLight):
     driver: Literal["gardasoft"]
     port: Port
     baudrate: Annotated[int, _BAUD_RATES] = 115_200
-    model: Annotated[
-        Text | None,
-        Field(description="Model that the controller reports (RT420F-20). Without it, any is accepted."),
-    ] = None
+    model: Text | None = None
+    """Model that the controller reports (RT420F-20). Without it, any is accepted."""
     channel: Annotated[int, Field(ge=1, le=8)] = 1
     sync_channel: Annotated[int, Field(ge=1, le=8)] | None = 2
-    full_percent: Annotated[Percent, Field(description="Brightness of the lamp at level 100 %.")] = 100.0
+    full_percent: Percent = 100.0
+    """Brightness of the lamp at level 100 %."""
     sync_percent: Percent = 100.0
     frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
 

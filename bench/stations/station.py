@@ -52,12 +52,10 @@ _NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 class LedgerConfig(StrictModel):
     """What an unexplained break of the bench's ledger does."""
 
-    anchor: Annotated[
-        str | None, Field(description="Not used any more; stations of earlier runs name it.")
-    ] = None
-    strict: Annotated[
-        bool, Field(description="Whether a break of the ledger that nobody has explained stops a run.")
-    ] = False
+    anchor: str | None = None
+    """Not used any more; stations of earlier runs name it."""
+    strict: bool = False
+    """Whether a break of the ledger that nobody has explained stops a run."""
 
     bare_words = (_STRICT,)
 
@@ -70,24 +68,12 @@ class LedgerConfig(StrictModel):
 class ExpectedCollimatorConfig(StrictModel):
     """How far the views of this collimator deviate from an ideal one."""
 
-    rms_px: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=100,
-            description="RMS length of the errors that follow the collimator, star noise included, px; 0: none.",
-        ),
-    ] = TYPICAL_RMS_PX
-    pupil_wander_mm: Annotated[
-        float,
-        Field(ge=0, le=1000, description="Random shift of the camera's pupil across the beam between poses."),
-    ] = 0.0
-    pose_rms_px: Annotated[
-        float,
-        Field(
-            ge=0, le=100, description="RMS length of the errors that differ from pose to pose, px; 0: small."
-        ),
-    ] = 0.0
+    rms_px: Annotated[float, Field(ge=0, le=100)] = TYPICAL_RMS_PX
+    """RMS length of the errors that follow the collimator, star noise included, px; 0: none."""
+    pupil_wander_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    """Random shift of the camera's pupil across the beam between poses."""
+    pose_rms_px: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """RMS length of the errors that differ from pose to pose, px; 0: small."""
 
 
 class ExpectedConfig(StrictModel):
@@ -95,13 +81,13 @@ class ExpectedConfig(StrictModel):
 
     focal_px: Annotated[float, Within(10, 1e6, "px")]
     r_mm: FocalLength
-    half_angle_deg: Annotated[float, Field(ge=0.01, lt=60, description="Half angle of the beam.")]
+    half_angle_deg: Annotated[float, Field(ge=0.01, lt=60)]
+    """Half angle of the beam."""
     image_size: tuple[_Side, _Side] = (1280, 720)
     k1: _Coefficient = 0.0
     k2: _Coefficient = 0.0
-    star_sigma_px: Annotated[
-        float, Within(1e-4, 100, "px"), Field(description="Uncertainty of a star, per axis.")
-    ] = 0.02
+    star_sigma_px: Annotated[float, Within(1e-4, 100, "px")] = 0.02
+    """Uncertainty of a star, per axis."""
     collimator: ExpectedCollimatorConfig = ExpectedCollimatorConfig()
 
     def errors(self, collimator: CollimatorConfig) -> CollimatorErrors:
@@ -125,15 +111,10 @@ class CheckStandardConfig(StrictModel):
 
     serial: Serial
     every_days: Annotated[float, Within(0.01, 3650, "days")] | None = None
-    baseline: Annotated[
-        int, Within(5, 1000), Field(description="Number of first runs from which the limits come.")
-    ] = 20
-    stop_batch: Annotated[
-        bool,
-        Field(
-            description="Whether no other camera is measured in a batch while it is out of control or due."
-        ),
-    ] = False
+    baseline: Annotated[int, Within(5, 1000)] = 20
+    """Number of first runs from which the limits come."""
+    stop_batch: bool = False
+    """Whether no other camera is measured in a batch while it is out of control or due."""
 
 
 def _plain_values(section: Any) -> Any:

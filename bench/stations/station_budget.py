@@ -64,34 +64,27 @@ class StatedValue(StrictModel):
     """A value with its standard uncertainty."""
 
     value: Annotated[float, Within(-1e6, 1e6)]
-    sigma: Annotated[
-        float, Within(0, 1e6), Field(description="Standard uncertainty (k = 1), in the unit of the value.")
-    ]
+    sigma: Annotated[float, Within(0, 1e6)]
+    """Standard uncertainty (k = 1), in the unit of the value."""
 
 
 class CertificateConfig(StrictModel):
     """A certificate of the collimator's focal length."""
 
-    r_mm: Annotated[FocalLength, Field(description="Focal length on the axis.")]
-    uncertainty_mm: Annotated[
-        float,
-        Within(1e-6, 1e4, "mm"),
-        Field(description="Expanded uncertainty, as the certificate states it."),
-    ]
-    k: Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")] = 2.0
-    length: Annotated[
-        Literal["focal_length", "seen"] | None,
-        Field(
-            description="Which length it is: the focal length, as makers state it, or the distance from centre to "
-            "target as a camera on this bench saw it. Both are weighed if it is not said."
-        ),
-    ] = None
+    r_mm: FocalLength
+    """Focal length on the axis."""
+    uncertainty_mm: Annotated[float, Within(1e-6, 1e4, "mm")]
+    """Expanded uncertainty, as the certificate states it."""
+    k: Annotated[float, Field(ge=1, le=10)] = 2.0
+    """Coverage factor of the uncertainty."""
+    length: Literal["focal_length", "seen"] | None = None
+    """Which length it is: the focal length, as makers state it, or the distance from centre to target as a camera on
+    this bench saw it. Both are weighed if it is not said."""
     number: Text
     date: Date | None = None
     valid_until: Date | None = None
-    temperature_c: Annotated[Celsius | None, Field(description="Temperature for which the value holds.")] = (
-        None
-    )
+    temperature_c: Celsius | None = None
+    """Temperature for which the value holds."""
 
     @model_validator(mode="after")
     def _ends_after_it_begins(self) -> CertificateConfig:
@@ -122,30 +115,17 @@ class CollimatorConfig(StrictModel):
         ]
         | None
     ) = None
-    passport: Annotated[
-        str | None,
-        Field(min_length=1, max_length=4096, description="Passport file, relative to the station file."),
-    ] = None
-    unsealed_passport: Annotated[
-        Literal["accept", "refuse"] | None,
-        Field(
-            description="Passport file without a seal, or with that of an unknown key; accepted by default."
-        ),
-    ] = None
-    temperature_c: Annotated[
-        Celsius | None, Field(description="Temperature of the collimator on this bench.")
-    ] = None
-    defocus: Annotated[
-        StatedValue | None,
-        Field(description="Shift of the pattern on the target over the shift of the camera across the beam."),
-    ] = None
-    pupil_to_focus_mm: Annotated[
-        StatedValue | None,
-        Field(
-            description="Distance from the camera's entrance pupil to the front focal plane; negative if the pupil is "
-            "between that plane and the glass."
-        ),
-    ] = None
+    passport: Annotated[str | None, Field(min_length=1, max_length=4096)] = None
+    """Passport file, relative to the station file."""
+    unsealed_passport: Literal["accept", "refuse"] | None = None
+    """Passport file without a seal, or with that of an unknown key; accepted by default."""
+    temperature_c: Celsius | None = None
+    """Temperature of the collimator on this bench."""
+    defocus: StatedValue | None = None
+    """Shift of the pattern on the target over the shift of the camera across the beam."""
+    pupil_to_focus_mm: StatedValue | None = None
+    """Distance from the camera's entrance pupil to the front focal plane; negative if the pupil is between that plane
+    and the glass."""
 
     @field_validator("certificate")
     @classmethod
@@ -183,47 +163,29 @@ def _has_direction(normal: tuple[float, float, float]) -> tuple[float, float, fl
 class FaceConfig(StrictModel):
     """A face of the camera's mount, against the stage's flange."""
 
-    normal: Annotated[
-        tuple[float, float, float],
-        AfterValidator(_has_direction),
-        Field(description="Direction of its normal: x along the tilt axis, y along the pan axis, z forward."),
-    ]
-    sigma_deg: Annotated[
-        float,
-        Within(0, 10, "deg"),
-        Field(description="Standard uncertainty of the normal, in each direction."),
-    ] = 0.0
+    normal: Annotated[tuple[float, float, float], AfterValidator(_has_direction)]
+    """Direction of its normal: x along the tilt axis, y along the pan axis, z forward."""
+    sigma_deg: Annotated[float, Within(0, 10, "deg")] = 0.0
+    """Standard uncertainty of the normal, in each direction."""
 
 
 class GimbalConfig(StrictModel):
     """What the gimbal's readings are worth as measurements, and what bounds their parallax."""
 
-    reading_sigma_deg: Annotated[
-        float,
-        Within(1e-6, 10, "deg"),
-        Field(description="Standard uncertainty of a reading, wobble of the axes included."),
-    ]
-    scale_sigma: Annotated[
-        float, Field(ge=0, le=1, description="Standard uncertainty of the scale of an axis.")
-    ] = 0.0
-    eccentricity_deg: Annotated[
-        float,
-        Field(ge=0, le=10, description="Standard uncertainty of the encoder's error of one period a turn."),
-    ] = 0.0
-    source: Annotated[Text, Field(description="Certificate, data sheet or measurement of these values.")]
-    pupil_off_pivot_mm: Annotated[
-        StatedValue | None,
-        Field(description="Distance of the lens's entrance pupil in front of the pivot."),
-    ] = None
-    pupil_beside_axes_mm: Annotated[
-        float,
-        Within(0, 100, "mm"),
-        Field(description="Standard uncertainty of the pupil's place beside the axes."),
-    ] = BESIDE_AXES_MM
-    faces: Annotated[
-        dict[Name, FaceConfig] | None,
-        Field(description="Faces of the camera's mount, by name, for the boresight."),
-    ] = None
+    reading_sigma_deg: Annotated[float, Within(1e-6, 10, "deg")]
+    """Standard uncertainty of a reading, wobble of the axes included."""
+    scale_sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Standard uncertainty of the scale of an axis."""
+    eccentricity_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Standard uncertainty of the encoder's error of one period a turn."""
+    source: Text
+    """Certificate, data sheet or measurement of these values."""
+    pupil_off_pivot_mm: StatedValue | None = None
+    """Distance of the lens's entrance pupil in front of the pivot."""
+    pupil_beside_axes_mm: Annotated[float, Within(0, 100, "mm")] = BESIDE_AXES_MM
+    """Standard uncertainty of the pupil's place beside the axes."""
+    faces: dict[Name, FaceConfig] | None = None
+    """Faces of the camera's mount, by name, for the boresight."""
 
 
 def _not_blank(text: str) -> str:
@@ -243,11 +205,10 @@ _Source = Annotated[
 class _StatedConfig(StrictModel):
     """What every term of the budget states besides its value."""
 
-    distribution: Annotated[
-        Distribution,
-        Field(description="The value is the half width; for normal, k times the standard uncertainty."),
-    ] = "normal"
-    k: Annotated[float, Field(ge=1, le=10, description="Coverage factor of a normal distribution.")] = 1.0
+    distribution: Distribution = "normal"
+    """The value is the half width; for normal, k times the standard uncertainty."""
+    k: Annotated[float, Field(ge=1, le=10)] = 1.0
+    """Coverage factor of a normal distribution."""
     degrees_of_freedom: _Degrees = None
     source: _Source
 
@@ -269,10 +230,10 @@ class _StatedConfig(StrictModel):
 class PrintScaleConfig(_StatedConfig):
     """Relative error of the scale of the printed target."""
 
-    value: Annotated[_Share, Field(description="Relative uncertainty of the scale.")]
-    correction: Annotated[
-        float, Field(ge=-0.1, le=0.1, description="Known relative error: true over nominal size, minus 1.")
-    ] = 0.0
+    value: _Share
+    """Relative uncertainty of the scale."""
+    correction: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
+    """Known relative error: true over nominal size, minus 1."""
 
     def term(self, *_: object) -> TypeBTerm:
         """Return the term of the budget."""
@@ -282,10 +243,10 @@ class PrintScaleConfig(_StatedConfig):
 class PrintBowConfig(_StatedConfig):
     """Bow of the printed target: its height at a distance from the axis."""
 
-    value_mm: Annotated[float, Field(ge=0, le=100, description="Height over the middle.")]
-    radius_mm: Annotated[
-        Positive, Field(description="Distance from the axis at which the target is so high.")
-    ]
+    value_mm: Annotated[float, Field(ge=0, le=100)]
+    """Height over the middle."""
+    radius_mm: Positive
+    """Distance from the axis at which the target is so high."""
 
     def term(self, *_: object) -> TypeBTerm:
         """Return the term of the budget."""
@@ -295,7 +256,8 @@ class PrintBowConfig(_StatedConfig):
 class EffectiveRadiusConfig(_StatedConfig):
     """Difference between the focal length of a certificate, on the axis, and the effective one over the beam."""
 
-    relative: Annotated[_Share, Field(description="Relative uncertainty.")]
+    relative: _Share
+    """Relative uncertainty."""
 
     def term(self, *_: object) -> TypeBTerm:
         """Return the term of the budget."""
@@ -305,19 +267,19 @@ class EffectiveRadiusConfig(_StatedConfig):
 class CollimatorDistortionConfig(_StatedConfig):
     """Distortion of the collimator: how far a point at the edge of the field lies from its ideal place."""
 
-    relative: Annotated[_Share, Field(description="Displacement over the distance from the axis.")]
-    at_deg: Annotated[
-        float, Field(gt=0, lt=60, description="Angle from the axis at which the displacement is so large.")
-    ]
+    relative: _Share
+    """Displacement over the distance from the axis."""
+    at_deg: Annotated[float, Field(gt=0, lt=60)]
+    """Angle from the axis at which the displacement is so large."""
 
 
 class WavefrontConfig(StrictModel):
     """Slopes of the collimator's wavefront that differ over the beam."""
 
-    urad_rms: Annotated[float, Field(ge=0, le=1e5, description="RMS slope, its mean subtracted.")]
-    correlation_mm: Annotated[
-        Positive | None, Field(description="Of stations of earlier versions; it has no effect.")
-    ] = None
+    urad_rms: Annotated[float, Field(ge=0, le=1e5)]
+    """RMS slope, its mean subtracted."""
+    correlation_mm: Positive | None = None
+    """Of stations of earlier versions; it has no effect."""
     source: _Source
 
     def term(self, *_: object) -> TypeBTerm:
@@ -328,19 +290,16 @@ class WavefrontConfig(StrictModel):
 class ThermalConfig(StrictModel):
     """Thermal expansion between the reference temperature and that of the bench."""
 
-    expansion_per_c: Annotated[float, Field(ge=-1e-3, le=1e-3, description="Coefficient of expansion.")]
-    expansion_sigma_per_c: Annotated[
-        float, Field(ge=0, le=1e-3, description="Standard uncertainty of the coefficient.")
-    ] = 0.0
-    reference_c: Annotated[
-        Celsius | None, Field(description="Temperature for which the nominal size holds.")
-    ] = None
-    temperature_c: Annotated[
-        Celsius | None, Field(description="Temperature on the bench; without it, that of the collimator.")
-    ] = None
-    sigma_c: Annotated[
-        float, Field(ge=0, le=100, description="Standard uncertainty of the temperature difference.")
-    ]
+    expansion_per_c: Annotated[float, Field(ge=-1e-3, le=1e-3)]
+    """Coefficient of expansion."""
+    expansion_sigma_per_c: Annotated[float, Field(ge=0, le=1e-3)] = 0.0
+    """Standard uncertainty of the coefficient."""
+    reference_c: Celsius | None = None
+    """Temperature for which the nominal size holds."""
+    temperature_c: Celsius | None = None
+    """Temperature on the bench; without it, that of the collimator."""
+    sigma_c: Annotated[float, Field(ge=0, le=100)]
+    """Standard uncertainty of the temperature difference."""
     source: _Source
 
     def term(self, kind: Literal["thermal", "collimator_thermal"], collimator: CollimatorConfig) -> TypeBTerm:

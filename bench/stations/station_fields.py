@@ -118,8 +118,10 @@ class DoorConfig(InterlockConfig):
     """A sensor of the enclosure: a file with one word, such as a GPIO file of the kernel. Any other word means open."""
 
     path: Text
-    closed: Annotated[Text, Field(description="Word in the file while the door is closed.")] = "1"
-    max_age_s: Annotated[Positive | None, Field(description="A file older than this means open, s.")] = None
+    closed: Text = "1"
+    """Word in the file while the door is closed."""
+    max_age_s: Positive | None = None
+    """A file older than this means open, s."""
 
 
 class CameraTemperatureConfig(InterlockConfig):
@@ -142,9 +144,8 @@ class EventRateConfig(InterlockConfig):
 
     max_mev_s: Positive
     release_mev_s: Positive
-    probe_ms: Annotated[
-        float, Field(ge=1, le=1000, description="Duration of a recording in the dark, ms.")
-    ] = 20.0
+    probe_ms: Annotated[float, Field(ge=1, le=1000)] = 20.0
+    """Duration of a recording in the dark, ms."""
 
     @model_validator(mode="after")
     def _lower(self) -> EventRateConfig:
@@ -188,35 +189,25 @@ class InterlocksConfig(StrictModel):
 class DrawingConfig(StrictModel):
     """The drawing of the reticle: its size, and what stands in the margin around the pattern."""
 
-    size_mm: Annotated[
-        tuple[_GlassSide, _GlassSide] | None,
-        Field(
-            description="Width and height of the glass or sheet. Default: the pattern and 4 pitches on each side."
-        ),
-    ] = None
-    units: Annotated[Units, Field(description="Unit of the coordinates in DXF, GDSII and SVG files.")] = "mm"
-    scale_bar_mm: Annotated[
-        float | None,
-        Field(ge=0, le=100_000, description="Length of the scale bars; 0: none. Default: a round length."),
-    ] = None
-    outline: Annotated[bool, Field(description="Whether the edge of the glass is drawn.")] = True
-    mirrored: Annotated[
-        bool,
-        Field(
-            description="Whether left and right change places: the camera sees the pattern through the glass."
-        ),
-    ] = False
+    size_mm: tuple[_GlassSide, _GlassSide] | None = None
+    """Width and height of the glass or sheet. Default: the pattern and 4 pitches on each side."""
+    units: Units = "mm"
+    """Unit of the coordinates in DXF, GDSII and SVG files."""
+    scale_bar_mm: Annotated[float | None, Field(ge=0, le=100_000)] = None
+    """Length of the scale bars; 0: none. Default: a round length."""
+    outline: bool = True
+    """Whether the edge of the glass is drawn."""
+    mirrored: bool = False
+    """Whether left and right change places: the camera sees the pattern through the glass."""
 
 
 class TargetConfig(StrictModel):
     """The printed star pattern."""
 
-    description: Annotated[
-        Text | None, Field(description="What the target is made of, its drawing, its maker.")
-    ] = None
-    serial: Annotated[
-        Serial | None, Field(description="Serial number of the target; the drawing shows it.")
-    ] = None
+    description: Text | None = None
+    """What the target is made of, its drawing, its maker."""
+    serial: Serial | None = None
+    """Serial number of the target; the drawing shows it."""
     squares: tuple[Squares, Squares] = (50, 72)
     # Squares that a camera can tell apart behind a collimator: those in metres or micrometres are refused.
     pitch_mm: Annotated[float, Within(0.05, 500, "mm")] = 144.5 / 36
@@ -225,12 +216,8 @@ class TargetConfig(StrictModel):
     tag_id: int = 3
     tag_square: tuple[int, int] = (23, 34)
     tag_squares: int = 4
-    polarity: Annotated[
-        Polarity,
-        Field(
-            description="positive: the black parts of the pattern are opaque; negative: the white parts are."
-        ),
-    ] = "positive"
+    polarity: Polarity = "positive"
+    """positive: the black parts of the pattern are opaque; negative: the white parts are."""
     drawing: DrawingConfig = DrawingConfig()
 
     @model_validator(mode="before")

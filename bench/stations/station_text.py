@@ -67,42 +67,26 @@ class TextAxisConfig(AxisConfig):
 
     scale_key: ClassVar[str] = "counts_per_deg"
     address: Annotated[
-        str,
-        Field(
-            max_length=20,
-            description="The controller's word for the axis: {address} of the description.",
-        ),
-        Form(r"^[!-z|~]*$", "ASCII characters without blanks and braces"),
+        str, Field(max_length=20), Form(r"^[!-z|~]*$", "ASCII characters without blanks and braces")
     ] = ""
+    """The controller's word for the axis: {address} of the description."""
     counts_per_deg: Annotated[
-        float,
-        AfterValidator(not_zero),
-        Within(1e-6, 1e9, "counts/deg", either_sign=True),
-        ToFillIn,
-        Field(description="Negative if the counter decreases; 1 if the controller counts in degrees."),
+        float, AfterValidator(not_zero), Within(1e-6, 1e9, "counts/deg", either_sign=True), ToFillIn
     ]
+    """Negative if the counter decreases; 1 if the controller counts in degrees."""
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
 class _DescribedSection(SerialLine, Generic[D]):
     """What the sections of a stage and of a light share whose text protocol a file describes."""
 
-    protocol: Annotated[
-        str,
-        Field(
-            min_length=1,
-            max_length=1000,
-            description="Name of a shipped description, or path of a file, relative to the station file.",
-        ),
-    ]
+    protocol: Annotated[str, Field(min_length=1, max_length=1000)]
+    """Name of a shipped description, or path of a file, relative to the station file."""
     port: Port
-    baudrate: Annotated[
-        Annotated[int, Within(50, 20_000_000, "Bd")] | None,
-        Field(description="Default: that of the description."),
-    ] = None
-    serial: Annotated[
-        Serial | None, Field(description="Of the controller. Without it, any such device is accepted.")
-    ] = None
+    baudrate: Annotated[int, Within(50, 20_000_000, "Bd")] | None = None
+    """Default: that of the description."""
+    serial: Serial | None = None
+    """Of the controller. Without it, any such device is accepted."""
     _read: Located[D] | None = PrivateAttr(default=None)
 
     @property
@@ -173,9 +157,8 @@ class TextLightConfig(_DescribedSection[LightProtocol], AnyLight):
     driver: Literal["text"]
     frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
     sync_output: bool = True
-    full_percent: Annotated[
-        float, Within(0.01, 1000, "%"), Field(description="Level of the light at level 100 %.")
-    ] = 100.0
+    full_percent: Annotated[float, Within(0.01, 1000, "%")] = 100.0
+    """Level of the light at level 100 %."""
     _reads = staticmethod(read_light_protocol)
 
     def misfits(self) -> Iterator[tuple[DocumentPath, str]]:

@@ -68,10 +68,8 @@ class StateQuery(Query):
     known, tells = ADDRESS, "state"
 
     when: Annotated[list[Text], Field(min_length=1, max_length=20)]
-    bits: Annotated[
-        tuple[Annotated[int, Within(0, 31, "")], ...],
-        Field(description="Bits of the answer that count, from 0; the others are taken as 0."),
-    ] = ()
+    bits: tuple[Annotated[int, Within(0, 31, "")], ...] = ()
+    """Bits of the answer that count, from 0; the others are taken as 0."""
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> StateQuery:
@@ -98,56 +96,31 @@ class LineConfig(StrictModel):
     """The line to the device."""
 
     baudrate: Annotated[int, Within(50, 20_000_000, "Bd")]
-    rtscts: Annotated[
-        bool, Field(description="Whether the device uses the lines RTS and CTS to hold the sender.")
-    ] = False
-    frame: Annotated[Frame, Field(description="Data bits, parity and stop bits.")] = "8N1"
-    xonxoff: Annotated[bool, Field(description="Whether the bytes XON and XOFF hold the sender.")] = False
-    request_end: Annotated[
-        Literal["CR", "LF", "CRLF", "space", "none"], Field(description="Ends each request.")
-    ] = "LF"
-    reply_end: Annotated[
-        Literal["CR", "LF", "CRLF", "none"],
-        Field(description="Ends each reply; none: a silence of `quiet_s` ends it."),
-    ] = "LF"
-    prompt: Annotated[
-        str,
-        Field(
-            max_length=20,
-            description="Ends each reply in place of `reply_end`, and stands in it.",
-        ),
-        Form(r"^[ -~]*$", "ASCII characters"),
-    ] = ""
-    reply_s: Annotated[float, Within(0.05, 10, "s"), Field(description="Longest wait for a reply.")] = 0.75
-    quiet_s: Annotated[
-        float, Within(0.02, 2, "s"), Field(description="Without a byte for this time, the line is silent.")
-    ] = 0.1
-    start_s: Annotated[
-        float,
-        Within(0, 30, "s"),
-        Field(
-            description="Longest time from opening the port to the first answer, if the device restarts then."
-        ),
-    ] = 0.0
-    checksum: Annotated[
-        of.Checksum,
-        Field(
-            description="Two hexadecimal digits after each request and each reply: of the XOR of all bytes, behind a"
-            " star, of their sum, or of its two's complement."
-        ),
-    ] = "none"
-    clear: Annotated[
-        str,
-        Field(
-            max_length=8,
-            description="Text that makes a request invalid that was cut on its way; then it is ended.",
-        ),
-        Form(r"^[!-~]*$", "ASCII characters without blanks"),
-    ] = ""
-    setup: Annotated[
-        tuple[RequestText, ...],
-        Field(max_length=10, description="Requests that set the form of the replies, and nothing else."),
-    ] = ()
+    rtscts: bool = False
+    """Whether the device uses the lines RTS and CTS to hold the sender."""
+    frame: Frame = "8N1"
+    """Data bits, parity and stop bits."""
+    xonxoff: bool = False
+    """Whether the bytes XON and XOFF hold the sender."""
+    request_end: Literal["CR", "LF", "CRLF", "space", "none"] = "LF"
+    """Ends each request."""
+    reply_end: Literal["CR", "LF", "CRLF", "none"] = "LF"
+    """Ends each reply; none: a silence of `quiet_s` ends it."""
+    prompt: Annotated[str, Field(max_length=20), Form(r"^[ -~]*$", "ASCII characters")] = ""
+    """Ends each reply in place of `reply_end`, and stands in it."""
+    reply_s: Annotated[float, Within(0.05, 10, "s")] = 0.75
+    """Longest wait for a reply."""
+    quiet_s: Annotated[float, Within(0.02, 2, "s")] = 0.1
+    """Without a byte for this time, the line is silent."""
+    start_s: Annotated[float, Within(0, 30, "s")] = 0.0
+    """Longest time from opening the port to the first answer, if the device restarts then."""
+    checksum: of.Checksum = "none"
+    """Two hexadecimal digits after each request and each reply: of the XOR of all bytes, behind a star, of their sum,
+    or of its two's complement."""
+    clear: Annotated[str, Field(max_length=8), Form(r"^[!-~]*$", "ASCII characters without blanks")] = ""
+    """Text that makes a request invalid that was cut on its way; then it is ended."""
+    setup: Annotated[tuple[RequestText, ...], Field(max_length=10)] = ()
+    """Requests that set the form of the replies, and nothing else."""
 
 
 class RefusalConfig(StrictModel):
@@ -156,17 +129,19 @@ class RefusalConfig(StrictModel):
     reply: ReplyText
     means: Text | None = None
     codes: Annotated[
-        dict[Annotated[str, Field(max_length=20)], Text],
-        Field(default_factory=dict, max_length=200, description="Meaning by {code:...} of the reply."),
+        dict[Annotated[str, Field(max_length=20)], Text], Field(default_factory=dict, max_length=200)
     ]
-    fine: Annotated[tuple[Text, ...], Field(max_length=20, description="Codes that refuse nothing.")] = ()
+    """Meaning by {code:...} of the reply."""
+    fine: Annotated[tuple[Text, ...], Field(max_length=20)] = ()
+    """Codes that refuse nothing."""
 
 
 class NoticeConfig(StrictModel):
     """A text that the device sends without a request."""
 
     text: Annotated[str, Field(min_length=2, max_length=100), Form(r"^[ -~]+$", "ASCII characters")]
-    means: Annotated[Text | None, Field(description="What has happened; a move then fails.")] = None
+    means: Text | None = None
+    """What has happened; a move then fails."""
 
 
 class Described(StrictModel):
@@ -179,10 +154,8 @@ class Described(StrictModel):
     serial: SerialQuery | None = None
     refusals: Annotated[tuple[RefusalConfig, ...], Field(max_length=20)] = ()
     notices: Annotated[tuple[NoticeConfig, ...], Field(max_length=20)] = ()
-    unasked: Annotated[
-        tuple[LineText, ...],
-        Field(max_length=20, description="Lines that the device sends without a request; they are left out."),
-    ] = ()
+    unasked: Annotated[tuple[LineText, ...], Field(max_length=20)] = ()
+    """Lines that the device sends without a request; they are left out."""
 
     def of_line(self) -> of.LineDescription:
         """Return the line for the driver."""
@@ -210,9 +183,8 @@ class Described(StrictModel):
 class _SettingConfig(StrictModel):
     """What the settings of lights and of axes share."""
 
-    value: Annotated[
-        float | Text | None, Field(description="Value of a constant.", union_mode="left_to_right")
-    ] = None
+    value: Annotated[float | Text | None, Field(union_mode="left_to_right")] = None
+    """Value of a constant."""
     tolerance_percent: Tolerance = 0.0
 
     if TYPE_CHECKING:
@@ -250,19 +222,14 @@ class LightSettingConfig(_SettingConfig):
     quantity: Literal["waveform", "frequency_hz", "duty_percent", "level_percent", "sync", "constant"]
     set: _Set
     query: _Get
-    words: Annotated[
-        dict[Text, Text],
-        Field(
-            default_factory=dict, max_length=5, description="The device's words for square, steady, on, off."
-        ),
-    ]
-    takes: Annotated[
-        Literal["value", "reciprocal"], Field(description="reciprocal: a period instead of a frequency.")
-    ] = "value"
-    factor: Annotated[Factor, Field(description="1000 for a period in ms.")] = 1.0
-    query_factor: Annotated[
-        Factor | None, Field(description="Factor of the value that is read, if it is another one.")
-    ] = None
+    words: Annotated[dict[Text, Text], Field(default_factory=dict, max_length=5)]
+    """The device's words for square, steady, on, off."""
+    takes: Literal["value", "reciprocal"] = "value"
+    """reciprocal: a period instead of a frequency."""
+    factor: Factor = 1.0
+    """1000 for a period in ms."""
+    query_factor: Factor | None = None
+    """Factor of the value that is read, if it is another one."""
     range: tuple[float, float] | None = None
 
     @model_validator(mode="after")
@@ -346,10 +313,8 @@ class _AxisCommand(Order):
 class _Motion(_AxisCommand):
     """A command that moves an axis."""
 
-    reply_comes: Annotated[
-        Literal["at_once", "at_end"],
-        Field(description="Whether the device replies at once, or when the motion has ended."),
-    ] = "at_once"
+    reply_comes: Literal["at_once", "at_end"] = "at_once"
+    """Whether the device replies at once, or when the motion has ended."""
 
     @model_validator(mode="after")
     def _has_late_reply(self) -> Self:
@@ -394,7 +359,8 @@ class AxisSettingConfig(_SettingConfig):
     quantity: Literal["speed", "acceleration", "lowest", "highest", "constant"]
     set: _SetAxis
     query: _GetAxis
-    factor: Annotated[Factor, Field(description="The device's value divided by that in counts.")] = 1.0
+    factor: Factor = 1.0
+    """The device's value divided by that in counts."""
 
     def for_driver(self) -> of.AxisSetting:
         """Return the setting for the driver."""
@@ -407,22 +373,16 @@ class AxisProtocol(StrictModel):
     position: _AxisQuery
     idle: StateQuery
     move: _Move
-    start: Annotated[
-        _AxisCommand | None, Field(description="Starts the move, where `move` sets the target alone.")
-    ] = None
+    start: _AxisCommand | None = None
+    """Starts the move, where `move` sets the target alone."""
     home: _Home
-    at_home: Annotated[
-        float | None, Field(description="Counts at which a finished search of the reference leaves the axis.")
-    ] = None
+    at_home: float | None = None
+    """Counts at which a finished search of the reference leaves the axis."""
     encoder: _AxisQuery | None = None
-    reference: Annotated[
-        StateQuery | Literal["own"],
-        Field(description="Whether the axis has a reference; own: the device does not tell."),
-    ] = "own"
-    errors: Annotated[
-        StateQuery | None,
-        Field(description="Errors of commands; asked after each command that the device does not answer."),
-    ] = None
+    reference: StateQuery | Literal["own"] = "own"
+    """Whether the axis has a reference; own: the device does not tell."""
+    errors: StateQuery | None = None
+    """Errors of commands; asked after each command that the device does not answer."""
     faults: StateQuery | None = None
     scale: _Scale | None = None
     lowest: _AxisQuery | None = None
@@ -436,13 +396,8 @@ class StageProtocol(Described):
 
     format: Literal["starbench/stage-protocol/1"]
     stop: _AxisCommand
-    modes: Annotated[
-        tuple[Command, ...],
-        Field(
-            max_length=20,
-            description="Commands that undo modes of another program; sent between stops, before settings.",
-        ),
-    ] = ()
+    modes: Annotated[tuple[Command, ...], Field(max_length=20)] = ()
+    """Commands that undo modes of another program; sent between stops, before settings."""
     axis: AxisProtocol
 
     @property

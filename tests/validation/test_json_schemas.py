@@ -97,3 +97,9 @@ def test_what_is_wrong_is_refused_by_schema_and_reader(model, old, new):
     text = text.replace(old, new, 1)
     assert not accepted_by_the_schema(text, model)
     assert not accepted_by_the_reader(text, model)
+
+
+def test_what_stands_below_a_key_describes_it_in_the_schema_also_of_a_model_that_inherits_the_key():
+    defined = Station.model_json_schema()["$defs"]
+    assert defined["ZaberAxisConfig"]["properties"]["device"]["description"] == "Address in the chain."
+    assert "controller is 0" in defined["ZaberAxisConfig"]["properties"]["zero_deg"]["description"]

@@ -118,11 +118,8 @@ class Address(StrictModel):
     street: OrEmpty[Text] = ""
     post_code: OrEmpty[Text] = ""
     city: Text
-    country: Annotated[
-        str,
-        Form(r"^[A-Z]{2}$", "two capital letters by ISO 3166-1, such as DE"),
-        Field(description="Two letters, ISO 3166-1."),
-    ]
+    country: Annotated[str, Form(r"^[A-Z]{2}$", "two capital letters by ISO 3166-1, such as DE")]
+    """Two letters, ISO 3166-1."""
 
 
 class Contact(StrictModel):
@@ -176,13 +173,8 @@ class PlaceConfig(StrictModel):
 class NumbersConfig(StrictModel):
     """The series of numbers of certificates."""
 
-    format: Annotated[
-        str,
-        Field(
-            max_length=60,
-            description="Number of a certificate; {year}, {number:05d} and {head} are replaced.",
-        ),
-    ] = "SB-{year}-{number:05d}-{head}"
+    format: Annotated[str, Field(max_length=60)] = "SB-{year}-{number:05d}-{head}"
+    """Number of a certificate; {year}, {number:05d} and {head} are replaced."""
 
     @model_validator(mode="after")
     def _is_a_series(self) -> NumbersConfig:
@@ -208,7 +200,8 @@ class Lens(StrictModel):
 
     maker: OrEmpty[Text] = ""
     model: OrEmpty[Text] = ""
-    serial: Annotated[OrEmpty[Text], Field(description="`none` if the lens has no serial number.")] = ""
+    serial: OrEmpty[Text] = ""
+    """`none` if the lens has no serial number."""
     focus: OrEmpty[Text] = ""
     aperture: OrEmpty[Text] = ""
     focus_locked: bool | None = None
@@ -218,19 +211,16 @@ class Lens(StrictModel):
 class ItemConfig(StrictModel):
     """The calibrated item."""
 
-    serial: Annotated[
-        Annotated[Serial, AfterValidator(_plain)] | None,
-        Field(description="Serial number of the camera; must be that of the run."),
-    ] = None
-    maker: Annotated[
-        Text | None, Field(description="Only for a camera that does not report its serial number.")
-    ] = None
-    model: Annotated[
-        Text | None, Field(description="Only for a camera that does not report its serial number.")
-    ] = None
+    serial: Annotated[Serial, AfterValidator(_plain)] | None = None
+    """Serial number of the camera; must be that of the run."""
+    maker: Text | None = None
+    """Only for a camera that does not report its serial number."""
+    model: Text | None = None
+    """Only for a camera that does not report its serial number."""
     lens: Lens = Lens()
     customer_id: OrEmpty[Text] = ""
-    received: Annotated[Date | None, Field(description="Date of receipt.")] = None
+    received: Date | None = None
+    """Date of receipt."""
     condition: OrEmpty[LongText] = ""
 
 
@@ -240,10 +230,8 @@ class Method(StrictModel):
     id: Text
     version: Text
     text: LongText
-    sequence_sha256: Annotated[
-        OrEmpty[Sha256],
-        Field(description="SHA-256 of the only sequence.yaml that this version of the method allows."),
-    ] = ""
+    sequence_sha256: OrEmpty[Sha256] = ""
+    """SHA-256 of the only sequence.yaml that this version of the method allows."""
 
 
 class ConditionConfig(StrictModel):
@@ -252,10 +240,12 @@ class ConditionConfig(StrictModel):
     name: Text
     value: Number | None = None
     unit: OrEmpty[Text] = ""
-    uncertainty: Annotated[NotNegative | None, Field(description="Expanded uncertainty.")] = None
+    uncertainty: NotNegative | None = None
+    """Expanded uncertainty."""
     k: Factor = 2.0
     instrument: OrEmpty[Text] = ""
-    certificate: Annotated[OrEmpty[Text], Field(description="Number of the instrument's certificate.")] = ""
+    certificate: OrEmpty[Text] = ""
+    """Number of the instrument's certificate."""
     text: OrEmpty[Text] = ""
 
     @model_validator(mode="after")
@@ -270,7 +260,8 @@ class ConditionConfig(StrictModel):
 class LabRuleConfig(RuleConfig):
     """Limits of one result, for a statement of conformity. The guard band is the expanded uncertainty."""
 
-    result: Annotated[Text, Field(description="Symbol of the result, such as fx.")]
+    result: Text
+    """Symbol of the result, such as fx."""
     specification: Text
 
 
@@ -293,15 +284,16 @@ class SuppliedConfig(StrictModel):
 class SourceConfig(StrictModel):
     """A certificate of a reference; it may stand behind a row of the uncertainty budget."""
 
-    row: Annotated[Text | None, Field(description="Name of a row of the uncertainty budget.")] = None
-    what: Annotated[
-        Text | None, Field(description="The reference, in words; without it, the row's name.")
-    ] = None
+    row: Text | None = None
+    """Name of a row of the uncertainty budget."""
+    what: Text | None = None
+    """The reference, in words; without it, the row's name."""
     number: OrEmpty[Text] = ""
     issuer: OrEmpty[Text] = ""
     date: Date | None = None
     sha256: OrEmpty[Sha256] = ""
-    statement: Annotated[OrEmpty[LongText], Field(description="To what the reference is traceable.")] = ""
+    statement: OrEmpty[LongText] = ""
+    """To what the reference is traceable."""
 
     @model_validator(mode="after")
     def _names_something(self) -> SourceConfig:
@@ -320,12 +312,9 @@ class AuthorisedBy(StrictModel):
         Form(
             r"^SHA256:[A-Za-z0-9+/]{43}$", "SHA256: and 43 characters, as `ssh-keygen -l -f KEY` prints them"
         ),
-        Field(
-            validation_alias=AliasChoices("key", "key_fingerprint"),
-            serialization_alias="key_fingerprint",
-            description="Fingerprint of the person's key, as `ssh-keygen -l` prints it.",
-        ),
+        Field(validation_alias=AliasChoices("key", "key_fingerprint"), serialization_alias="key_fingerprint"),
     ]
+    """Fingerprint of the person's key, as `ssh-keygen -l` prints it."""
 
 
 _Texts = Annotated[tuple[LongText, ...], BeforeValidator(_nothing), _list_or_none()]
@@ -361,10 +350,8 @@ class LabConfig(StrictModel):
     ) = None
     external: _Texts | None = None
     opinions: _Texts = ()
-    recalibration: Annotated[
-        LongText | None,
-        Field(description="Only if it was agreed with the customer; begins with 'agreed with'."),
-    ] = None
+    recalibration: LongText | None = None
+    """Only if it was agreed with the customer; begins with 'agreed with'."""
     authorised_by: AuthorisedBy | None = None
 
     @model_validator(mode="after")
