@@ -51,7 +51,7 @@ from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.lamp import Lamp
 from simulators.optics.lens_focus import truth_record
-from simulators.ports.serial_device import Dialect, Port, SerialDevice, TcpPort
+from simulators.ports.serial_device import Dialect, SerialDevice, TcpPort
 from simulators.warm_up import warm_up
 from simulators.world.trajectory import LoadTrajectory
 from simulators.world.world import AxisMotion, AxisName, World, with_setup
@@ -165,15 +165,13 @@ class Bench:
 
     # ------------------------------------------------------------------ inside
     def _serial(self, name: str, dialect: Dialect) -> SerialDevice:
-        port: Port
         if self._config.ports == "tcp":
             idle_s = self._config.light.idle_s if name == "light" else 0.0
             port = TcpPort(name, idle_s=idle_s, clock=self.world.now_s)
-        else:
-            from simulators.ports.pseudo_terminal import PseudoTerminal  # some platforms have none
+            return SerialDevice(port, dialect, paced=self._config.paced)
+        from simulators.ports.pseudo_terminal import PseudoTerminal  # some platforms have none
 
-            port = PseudoTerminal(self._folder / name)
-        return SerialDevice(port, dialect, paced=self._config.paced)
+        return SerialDevice(PseudoTerminal(self._folder / name), dialect, paced=self._config.paced)
 
     def _publish_axis(self, name: AxisName, pointing: LoadTrajectory) -> None:
         motion = AxisMotion(pointing.angle_deg, pointing.settled_from_s, round(pointing.rest))

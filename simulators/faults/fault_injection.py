@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol, cast
+from typing import cast
 
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera
@@ -22,28 +22,11 @@ from simulators.faults.line_faults import FaultLine, LineFault
 from simulators.lights.driver import LightDriver
 from simulators.lights.lamp import Lamp
 from simulators.ports.serial_device import SerialDevice
-from simulators.stages.axis_motion import Axis, FaultKind, MotionFault
+from simulators.stages.axis_motion import AxisOfController, FaultKind, MotionFault, SingleController
+from simulators.stages.zaber import ZaberController
 
-
-class AxisController(Protocol):
-    """Interface of a stage's controller for fault injection, for one axis."""
-
-    @property
-    def axis(self) -> Axis:
-        """Motion of the axis."""
-        ...
-
-    def restart(self, t_s: float) -> None:
-        """Power-cycle the controller."""
-        ...
-
-    def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """Press or release the emergency stop."""
-        ...
-
-    def exchange(self, serial: str, t_s: float) -> None:
-        """Replace the controller by another one, fresh from power-up."""
-        ...
+AxisController = SingleController | ZaberController | AxisOfController
+"""What controls one axis: alone, or beside others."""
 
 
 @dataclass(frozen=True)

@@ -269,12 +269,7 @@ class SerialBridge:
                 where=port,
                 remedy="Check the name of the port, and that no other program uses it.",
             ) from error
-        self._baud = baud
-
-    @property
-    def baud(self) -> int:
-        """Baud rate of the device; the host must use the same."""
-        return self._baud
+        self.baud = baud  # Of the device; the host must use the same
 
     def receive(self, data: bytes) -> bytes:
         """See `Dialect.receive`. The bytes go to the device; its answer follows through `unsolicited`."""

@@ -43,7 +43,7 @@ class PseudoTerminal:
         return str(self.link)
 
     def fileno(self) -> int:
-        """See `Port.fileno`."""
+        """Return the descriptor to wait on."""
         return self._master
 
     def plug(self) -> None:
@@ -74,25 +74,25 @@ class PseudoTerminal:
         self._close_both()
 
     def read(self) -> bytes:
-        """See `Port.read`."""
+        """Return what the client has sent."""
         try:
             return os.read(self._master, _CHUNK)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> None:
-        """See `Port.write`. Bytes that do not fit into the terminal's buffer are lost, as on a real line."""
+        """Send bytes to the client. Those that do not fit into the terminal's buffer are lost, as on a real line."""
         try:
             os.write(self._master, data)
         except BlockingIOError:
             return
 
     def client_baud(self) -> int | None:
-        """See `Port.client_baud`. It is None for a baud rate without a termios constant."""
+        """Return the baud rate that the client has set; None for one without a termios constant."""
         return _BAUD_BY_CODE.get(termios.tcgetattr(self._master)[5])
 
     def close(self) -> None:
-        """See `Port.close`."""
+        """Remove the port for good."""
         self.unplug()
 
     def _close_both(self) -> None:

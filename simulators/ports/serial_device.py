@@ -1,6 +1,6 @@
 """A simulated device on a serial line: it reads bytes from a port and writes the answers at the speed of the line.
 
-A `Dialect` decides what the device answers, a `Port` carries the bytes. This module provides the thread, the pacing by
+A `Dialect` decides what the device answers, a port carries the bytes. This module provides the thread, the pacing by
 baud rate, the garbage that a wrong baud rate causes, and a line on a TCP port of this computer, which pyserial opens as
 ``socket://``: it serves computers without pseudo-terminals. It depends on no protocol.
 """
@@ -14,7 +14,10 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
+
+if TYPE_CHECKING:  # some platforms have no pseudo-terminals
+    from simulators.ports.pseudo_terminal import PseudoTerminal
 
 #: Bits on the wire for one byte (8N1): one start bit, eight data bits, one stop bit.
 _BITS_PER_BYTE = 10
@@ -44,52 +47,10 @@ class Dialect(Protocol):
         ...
 
 
-class Port(Protocol):
-    """The device's end of a line. No method blocks."""
-
-    @property
-    def name(self) -> str:
-        """Name of the port in messages."""
-        ...
-
-    @property
-    def address(self) -> str:
-        """Address that a client opens, as pyserial takes it."""
-        ...
-
-    def fileno(self) -> int:
-        """Return the file descriptor to wait on."""
-        ...
-
-    def plug(self) -> None:
-        """Make the port available to clients."""
-        ...
-
-    def unplug(self) -> None:
-        """Make the port disappear, as a pulled cable does."""
-        ...
-
-    def read(self) -> bytes:
-        """Return what the client has sent."""
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Send bytes to the client; bytes that the client leaves no room for are lost."""
-        ...
-
-    def client_baud(self) -> int | None:
-        """Return the baud rate that the client has set."""
-        ...
-
-    def close(self) -> None:
-        """Remove the port for good."""
-        ...
-
-
 class SerialDevice:
     """A device that answers on its end of a line until it is closed; paced: bytes take their time at the baud rate."""
 
-    def __init__(self, port: Port, dialect: Dialect, *, paced: bool = True) -> None:
+    def __init__(self, port: PseudoTerminal | TcpPort, dialect: Dialect, *, paced: bool = True) -> None:
         self._port = port
         self._dialect = dialect
         self._paced = paced
@@ -205,7 +166,7 @@ class TcpPort:
         return f"socket://127.0.0.1:{self._port}"
 
     def fileno(self) -> int:
-        """See `Port.fileno`. It is the client's descriptor, or the listener's while no client is connected."""
+        """Return the descriptor to wait on: the client's descriptor, or the listener's while no client is connected."""
         if self.client is not None:
             return self.client.fileno()
         return self._listener.fileno() if self._listener is not None else -1
@@ -224,7 +185,7 @@ class TcpPort:
         self.client = self._listener = None
 
     def read(self) -> bytes:
-        """See `Port.read`. It also accepts a waiting client."""
+        """Return what the client has sent; accept a waiting client."""
         try:
             if self.client is None:
                 if self._listener is not None:
@@ -245,7 +206,7 @@ class TcpPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """See `Port.write`. Without a client the bytes are lost, as on a real line."""
+        """Send bytes; without a client, or where it leaves no room, they are lost, as on a real line."""
         if self.client is None:
             return
         try:
@@ -256,11 +217,11 @@ class TcpPort:
             self._hang_up()
 
     def client_baud(self) -> int | None:
-        """See `Port.client_baud`. A TCP connection has no baud rate: always None."""
+        """Return None: a TCP connection has no baud rate."""
         return None
 
     def close(self) -> None:
-        """See `Port.close`."""
+        """Remove the port for good."""
         self.unplug()
 
     def _hang_up(self) -> None:

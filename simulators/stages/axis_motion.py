@@ -327,11 +327,12 @@ class Axis:
 
 
 class Unit(ABC):
-    """Something with power that moves axes; for ``boot_s`` after a restart it gives no answers."""
+    """Something with power that moves axes; for ``BOOT_S`` after a restart it gives no answers."""
 
-    def __init__(self, axes: Iterable[Axis], now_s: float, boot_s: float = 0.0) -> None:
+    BOOT_S: ClassVar[float] = 0.0
+
+    def __init__(self, axes: Iterable[Axis], now_s: float) -> None:
         self._moved = tuple(axes)
-        self._boot_s = boot_s
         self._powered = True
         self._boot_ends_s = now_s
 
@@ -363,7 +364,7 @@ class Unit(ABC):
         for axis in self._moved:
             axis.restart(t_s)
         self._power_up()
-        self._boot_ends_s = t_s + self._boot_s
+        self._boot_ends_s = t_s + self.BOOT_S
 
     def exchange(self, serial: str, t_s: float) -> None:
         """Replace it by another one of its kind, fresh from power-up; most kinds tell a serial number."""
@@ -382,21 +383,14 @@ class Unit(ABC):
 
 
 class Controller(Unit):
-    """A controller with a line of its own, as its dialect; half a message is dropped after ``byte_timeout_s``."""
+    """A controller with a line of its own, as its dialect; half a message is dropped after ``BYTE_TIMEOUT_S``."""
 
-    def __init__(
-        self,
-        axes: Iterable[Axis],
-        clock: Callable[[], float],
-        *,
-        baud: int = 115_200,
-        boot_s: float = 0.0,
-        byte_timeout_s: float = math.inf,
-    ) -> None:
-        super().__init__(axes, clock(), boot_s)
+    baud = 115_200
+    BYTE_TIMEOUT_S: ClassVar[float] = math.inf
+
+    def __init__(self, axes: Iterable[Axis], clock: Callable[[], float]) -> None:
+        super().__init__(axes, clock())
         self._clock = clock
-        self.baud = baud
-        self._byte_timeout_s = byte_timeout_s
         self._received_at_s = clock()
         self._buffer = b""
 
@@ -406,7 +400,7 @@ class Controller(Unit):
         self.take_events(now)
         if not self.awake(now):
             return b""
-        if now - self._received_at_s > self._byte_timeout_s:
+        if now - self._received_at_s > self.BYTE_TIMEOUT_S:
             self._buffer = b""
         self._received_at_s = now
         self._buffer += data
@@ -424,9 +418,6 @@ class Controller(Unit):
 class SingleController(Controller):
     """A controller of one axis with a line of its own, whose serial number has digits only."""
 
-    BOOT_S: ClassVar[float]
-    BYTE_TIMEOUT_S: ClassVar[float]
-
     def __init__(
         self,
         model: AxisModel,
@@ -435,7 +426,7 @@ class SingleController(Controller):
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, clock(), publish)
-        super().__init__([self.axis], clock, boot_s=self.BOOT_S, byte_timeout_s=self.BYTE_TIMEOUT_S)
+        super().__init__([self.axis], clock)
         self._power_up()
 
     def exchange(self, serial: str, t_s: float) -> None:
@@ -452,13 +443,13 @@ class AxisOfController:
     axis: Axis
 
     def restart(self, t_s: float) -> None:
-        """See `AxisController.restart`."""
+        """See `Unit.restart`."""
         self.controller.restart(t_s)
 
     def exchange(self, serial: str, t_s: float) -> None:
-        """See `AxisController.exchange`."""
+        """See `Unit.exchange`."""
         self.controller.exchange(serial, t_s)
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
-        """See `AxisController.emergency_stop`."""
+        """See `Unit.emergency_stop`."""
         self.controller.emergency_stop(t_s, released=released)

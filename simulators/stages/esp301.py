@@ -29,7 +29,6 @@ _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10  # Errors that the controller keeps
 _MAX_LINE: Final = 256
-_BOOT_S: Final = 1.0
 _AS_POWER = 7
 """Value of ``FP`` that prints positions as powers of ten."""
 _FOLLOWS_ANOTHER: Final = 4
@@ -103,6 +102,9 @@ class EspAxis(AxisOfController):
 class EspController(Controller):
     """The controller; ``models`` are its axes, from number 1."""
 
+    baud = 19_200
+    BOOT_S = 1.0
+
     def __init__(
         self,
         models: list[AxisModel],
@@ -112,7 +114,7 @@ class EspController(Controller):
         moved = {
             n: Axis(model.mechanics, clock(), partial(publish, n)) for n, model in enumerate(models, start=1)
         }
-        super().__init__(moved.values(), clock, baud=19_200, boot_s=_BOOT_S)
+        super().__init__(moved.values(), clock)
         self.axes = {
             number: EspAxis(self, moved[number], number, model)
             for number, model in enumerate(models, start=1)

@@ -30,7 +30,6 @@ from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")
 _MAX_LINE: Final = 64
-_BOOT_S: Final = 2.0
 _NAMES: Final = {"P": "Pan", "T": "Tilt"}
 _BASE_SPEED: Final = 57
 _MOST_SPEED_DEG_S: Final = 100.0
@@ -96,6 +95,9 @@ class PtuAxis(AxisOfController):
 class PtuController(Controller):
     """The unit; ``serial`` is the answer to ``VS``."""
 
+    baud = 9600
+    BOOT_S = 2.0
+
     def __init__(
         self,
         models: dict[str, AxisModel],
@@ -107,7 +109,7 @@ class PtuController(Controller):
             letter: Axis(axis_model.mechanics, clock(), partial(publish, letter))
             for letter, axis_model in models.items()
         }
-        super().__init__(moved.values(), clock, baud=9600, boot_s=_BOOT_S)
+        super().__init__(moved.values(), clock)
         self.serial = serial
         self.axes = {letter: PtuAxis(self, moved[letter], letter, model) for letter, model in models.items()}
         self.before_reset = False

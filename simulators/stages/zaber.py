@@ -45,7 +45,6 @@ _SAME_SETTING = {"accel": "motion.accelonly"}
 
 #: Speed towards the reference sensor, degrees/s; the last part is ten times slower.
 _HOME_SPEED_DEG_S = 20.0
-_BOOT_S = 0.5
 
 
 def factory_settings(model: AxisModel) -> dict[str, int]:
@@ -94,6 +93,8 @@ class CommandRejected(Exception):
 class ZaberController(Unit):
     """A controller with one axis."""
 
+    BOOT_S = 0.5
+
     def __init__(
         self,
         model: AxisModel,
@@ -102,7 +103,7 @@ class ZaberController(Unit):
     ) -> None:
         self.model = model
         self.axis = Axis(model.mechanics, now_s, publish)
-        super().__init__([self.axis], now_s, _BOOT_S)
+        super().__init__([self.axis], now_s)
         self._deliver()
 
     def _deliver(self) -> None:
@@ -357,15 +358,12 @@ def parse_request(line: bytes) -> Request | None:
 class ZaberChain:
     """Controllers on one line, as a dialect of it, in the order of their addresses, from 1."""
 
+    baud = 115_200
+
     def __init__(self, controllers: Sequence[ZaberController], clock: Callable[[], float]) -> None:
         self.controllers = tuple(controllers)
         self._clock = clock
         self._buffer = b""
-
-    @property
-    def baud(self) -> int:
-        """Default baud rate of the family."""
-        return 115_200
 
     def receive(self, data: bytes) -> bytes:
         """See `Dialect.receive`."""
