@@ -91,6 +91,11 @@ class FisheyeBench(Bench):
         return cv2.fisheye.projectPoints(points, vector, np.zeros(3), matrix, bent)[0][:, 0]
 
 
+def over_u(result, truth, names=("fx", "fy", "cx", "cy")):
+    """The error of each of these values over its U; ``truth`` has the true ones by name."""
+    return [abs(result.values[name] - truth[name]) / result.U[name] for name in names]
+
+
 @pytest.fixture
 def bench():
     return Bench()

@@ -11,7 +11,7 @@ from slow_cases import first_quick, slow
 from calib import CalibrationOptions, Passport, View, calibrate
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.gimbal_readings import GimbalReadings
-from tests.unit.calib.conftest import Bench, FisheyeBench
+from tests.unit.calib.conftest import Bench, FisheyeBench, over_u
 
 
 @pytest.fixture(scope="module")
@@ -101,11 +101,13 @@ def test_the_result_is_plain_json_with_sigmas_under_the_same_names(noisy):
     assert result.correlation[at[0], at[1]] > 0.9  # nearly one parameter
 
 
-def test_the_planar_result_has_no_collimator(bench):
-    views = bench.views(np.random.default_rng(25), 0.05)
-    shape = calibrate(views, CalibrationOptions(model="planar")).to_dict()
+def test_the_planar_result_has_no_collimator_and_no_passport_to_give(bench):
+    planar = calibrate(bench.views(np.random.default_rng(25), 0.05), CalibrationOptions(model="planar"))
+    shape = planar.to_dict()
     assert shape["collimator"] is None
     assert set(shape["sigma"]) == set(shape["camera"])
+    with pytest.raises(InputMismatch, match="planar"):
+        planar.passport()
 
 
 def test_views_of_two_image_sizes_are_refused(bench):
@@ -168,12 +170,11 @@ def test_what_a_model_does_not_use_is_said(model, option, ignored):
     assert unused == (ignored and f"The {model} model does not use: {ignored}.")
 
 
-@pytest.mark.parametrize("radial_sigma", [None, 0.1])
-def test_what_the_model_of_a_calibration_does_not_use_is_a_note_and_a_remark(bench, radial_sigma):
-    options = CalibrationOptions(model="spherical", radial_sigma=radial_sigma)
+def test_what_the_model_of_a_calibration_does_not_use_is_a_note_and_a_remark(bench):
+    options = CalibrationOptions(model="spherical", radial_sigma=0.1)
     result = calibrate(bench.views(np.random.default_rng(5), 0.05), options)
     for sentences in (result.notes, result.remarks):
-        assert [text for text in sentences if "does not use" in text] == [options.unused] * bool(radial_sigma)
+        assert [text for text in sentences if "does not use" in text] == [options.unused]
 
 
 def test_a_method_of_reference_says_that_readings_and_budget_are_not_used():
@@ -240,10 +241,7 @@ def test_pixels_that_are_not_square_are_named_and_the_focal_lengths_are_right(be
     ]
     result = calibrate(views)
     assert any("'square pixels'" in note for note in result.notes)
-    for name in ("fx", "fy"):
-        true = bench.truth[name] * (stretched if name == "fy" else 1.0)
-        stated = result.coverage_factors[name] * result.sigma[name]
-        assert getattr(result.camera, name) == pytest.approx(true, abs=stated)
+    assert max(over_u(result, {"fx": bench.fx, "fy": stretched * bench.fy}, ("fx", "fy"))) < 1.0
 
 
 def test_a_mirror_off_its_axis_does_not_make_pixels_oblong(make_bench):
@@ -257,8 +255,7 @@ def test_a_mirror_off_its_axis_does_not_make_pixels_oblong(make_bench):
     ]
     result = calibrate(views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen")))
     assert not [note for note in result.notes if "'square pixels'" in note]
-    assert abs(result.camera.fx - bench.fx) < result.U["fx"]
-    assert abs(result.camera.fy - bench.fy) < result.U["fy"]
+    assert max(over_u(result, bench.truth, ("fx", "fy"))) < 1.0
 
 
 @pytest.mark.slow
@@ -268,7 +265,7 @@ def test_a_true_certificate_is_not_refused_for_poses_that_only_roll(make_bench):
     for seed in range(3):
         views = rolled.views(np.random.default_rng(seed), 0.05)
         result = calibrate(views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
-        assert abs(result.camera.fx - rolled.fx) < 2.0 * result.coverage_factors["fx"] * result.sigma["fx"]
+        assert max(over_u(result, rolled.truth, ["fx"])) < 2.0
 
 
 def test_views_that_hardly_determine_the_focal_length_are_named_weak(make_bench, noisy):

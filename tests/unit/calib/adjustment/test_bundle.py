@@ -9,7 +9,6 @@ from calib import CameraModel, Collimator
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.errors import InputMismatch
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
 
@@ -40,12 +39,6 @@ def test_a_star_counts_by_its_covariance(bench):
     observations = Observations.from_views([replace(view, covariances_px2=covariances)])
     whitened = observations.whitening @ covariances @ observations.whitening.transpose(0, 2, 1)
     assert np.allclose(whitened, np.eye(2))
-
-
-def test_a_covariance_that_is_none_is_refused(bench):
-    view = bench.views()[0]
-    with pytest.raises(InputMismatch, match="positive variances"):
-        Observations.from_views([replace(view, covariances_px2=np.zeros((len(view), 2, 2)))])
 
 
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

@@ -1,4 +1,4 @@
-"""Reconstruction of pictures from a moving camera's events: against the published equation in closed form, and dv."""
+"""Reconstruction of pictures from a moving camera's events: against the published equation in closed form."""
 
 import math
 
@@ -55,22 +55,6 @@ def test_pictures_of_a_stream_do_not_depend_on_its_pieces(pieces):
     weight = (on + later_on).sum() / (off + later_off).sum()
     expected = 0.5 * ((on - later_on) - weight * (off - later_off))
     np.testing.assert_allclose(pictures[0].image, expected, atol=1e-5)
-
-
-def test_the_filter_is_that_of_dv_processing():
-    dv = pytest.importorskip("dv_processing")
-    t, x, y, p = random_events()
-    tau_us = 25_000.0
-    other = dv.Accumulator(SIZE, dv.Accumulator.Decay.EXPONENTIAL, tau_us, True, 1.0, 1e6, 0.0, -1e6, False)
-    store = dv.EventStore()
-    for event in zip(t.tolist(), x.tolist(), y.tolist(), (p == 1).tolist(), strict=True):
-        store.push_back(*event)
-    other.accept(store)
-    other.generateFrame()
-    filtered = HighPassFilter(SIZE, 1e6 / (2 * math.pi * tau_us))
-    filtered.add((t, x, y, p))
-    off, on = filtered.sums_at(float(t[-1]))
-    np.testing.assert_allclose(on - off, other.getPotentialSurface(), atol=2e-4)
 
 
 def moving_edge(speed_px_s=400.0):

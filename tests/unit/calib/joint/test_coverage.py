@@ -1,12 +1,11 @@
-"""Drawn benches: errors of the joint adjustment are as large as it states, in its values, covariance and map."""
+"""Drawn benches: errors of the joint adjustment are as large as its covariance, map and boresight state."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from calib import Calibration, CalibrationOptions, Passport, calibrate, projection_uncertainty
-from calib.model import cause as kinds
 from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.rotation import log_map
@@ -14,8 +13,7 @@ from calib.uncertainty.projection_uncertainty import camera_difference
 from simulators.world.truth import Truth
 from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
 
-CERTIFICATE_SIGMA_MM, SCALE_SIGMA, DRIFT_SIGMA = 0.05, 2e-4, 3e-5
-MIDDLE_PX = np.array([639.5, 359.5])
+CERTIFICATE_SIGMA_MM, SCALE_SIGMA = 0.05, 2e-4
 BENCHES = 12
 
 
@@ -32,30 +30,14 @@ class Drawn:
         return self.result.estimates[:4] - [true.fx, true.fy, true.cx, true.cy]
 
     @property
-    def expanded(self):
-        """U of fx, fy, cx, cy."""
-        result = self.result
-        names = ("fx", "fy", "cx", "cy")
-        return np.array([result.sigma[name] * result.coverage_factors[name] for name in names])
-
-    @property
     def true_camera(self):
         true = self.truth.camera
         lens = {name: getattr(true, name) for name in ("k1", "k2", "p1", "p2", "k3")}
         return CameraModel(true.fx, true.fy, true.cx, true.cy, self.result.camera.image_size, lens)
 
 
-def drifting(views, whole):
-    """Views whose focal length changes by a share from the first to the last."""
-    shares = whole * np.linspace(-0.5, 0.5, len(views))
-    return [
-        replace(view, points_px=MIDDLE_PX + (1.0 + share) * (view.points_px - MIDDLE_PX))
-        for view, share in zip(views, shares, strict=True)
-    ]
-
-
 def drawn(seed, profile):
-    """A bench whose readings, certificate and focal length are each as wrong, or as steady, as stated."""
+    """A bench whose readings and certificate are each as wrong as stated."""
     rng = np.random.default_rng((seed, 77))
     bench = draw_bench(profile, THREE, seed, errors=GimbalErrors(0.002, SCALE_SIGMA))
     certified = bench.truth.collimator.r + CERTIFICATE_SIGMA_MM * rng.standard_normal()
@@ -63,23 +45,12 @@ def drawn(seed, profile):
         passport=Passport.of_radius(certified, CERTIFICATE_SIGMA_MM),
         gimbal=GimbalReadings(tuple(bench.readings_deg), 0.002, SCALE_SIGMA, 0.001, None, "drawn"),
     )
-    views = drifting(bench.views, DRIFT_SIGMA * rng.standard_normal())
-    return Drawn(calibrate(views, options), bench.truth, bench.camera_from_head)
+    return Drawn(calibrate(bench.views, options), bench.truth, bench.camera_from_head)
 
 
 @pytest.fixture(scope="module")
 def benches():
     return [drawn(seed, ("like-bench", "ideal")[seed % 2]) for seed in range(BENCHES)]
-
-
-@pytest.mark.slow
-def test_errors_of_the_camera_lie_within_u_and_fill_it(benches):
-    over = np.array([bench.errors / bench.expanded for bench in benches])
-    assert (np.abs(over) < 1.6).all()
-    assert np.mean(np.abs(over) < 1.0) > 0.85
-    rms = np.sqrt((4.0 * over**2).mean(axis=0))
-    assert (rms > 0.5).all()
-    assert (rms < 1.4).all()
 
 
 @pytest.mark.slow
@@ -99,16 +70,6 @@ def test_the_map_is_as_large_as_the_errors_of_the_directions(benches):
         off = camera_difference(bench.result.camera, bench.true_camera).offset_px
         ratios.append(np.nanmean((off**2).sum(axis=2)) / np.nanmean(2.0 * stated.sigma_px**2))
     assert 0.15 < np.mean(ratios) < 1.1
-
-
-@pytest.mark.slow
-def test_a_focal_length_that_drifts_from_pose_to_pose_is_named_with_its_size():
-    views = draw_bench("like-bench", NINE, 31).views
-    steady, moved = (calibrate(some, CalibrationOptions()).causes for some in (views, drifting(views, 1e-3)))
-    assert steady == ()
-    (cause,) = moved
-    assert cause.kind == kinds.FOCUS_CREEPS
-    assert cause.value == pytest.approx(0.1, abs=cause.expanded)  # per cent
 
 
 def boresight_errors(bench):

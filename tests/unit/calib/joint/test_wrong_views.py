@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slow_cases import slow
 
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
@@ -15,7 +16,7 @@ from calib.model.gimbal_readings import AXES, GimbalReadings, ParallaxBound
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
 from tests.benchmarks.worlds.recordings import read
-from tests.unit.calib.conftest import TARGET, Bench
+from tests.unit.calib.conftest import TARGET, Bench, over_u
 
 POSES = (
     (-5, 2),
@@ -62,24 +63,20 @@ def named_shift(views):
 
 
 @pytest.mark.parametrize(
-    ("place", "shift"),
+    ("seed", "count", "shifts"),
     [
-        (1, (1, 0)),
-        pytest.param(3, (-2, 1), marks=pytest.mark.slow),
-        pytest.param(4, (0, 2), marks=pytest.mark.slow),
+        (3, 6, {1: (1, 0)}),
+        slow(3, 6, {3: (-2, 1)}),
+        slow(3, 6, {4: (0, 2)}),
+        slow(5, 5, {0: (2, 0)}),  # a shift of another would explain much: a dozen searches
+        slow(1, 6, {1: (1, 0), 4: (0, -2)}),
     ],
 )
-def test_the_view_and_the_shift_are_named(place, shift):
-    views = bench(3)
-    views[place] = misnamed(views[place], *shift)
-    assert named_shift(views) == {(f"pose-{place + 1:03d}", *shift)}
-
-
-@pytest.mark.slow  # a dozen searches
-def test_the_right_view_is_named_where_a_shift_of_another_would_explain_much():
-    views = bench(5, count=5)
-    views[0] = misnamed(views[0], 2, 0)
-    assert named_shift(views) == {("pose-001", 2, 0)}
+def test_the_views_and_their_shifts_are_named(seed, count, shifts):
+    views = bench(seed, count=count)
+    for place, shift in shifts.items():
+        views[place] = misnamed(views[place], *shift)
+    assert named_shift(views) == {(f"pose-{place + 1:03d}", *shift) for place, shift in shifts.items()}
 
 
 @pytest.mark.slow
@@ -93,13 +90,11 @@ def test_a_shift_that_five_views_do_not_show_does_no_harm(place, shift, seed):
         assert shifts == {(f"pose-{place + 1:03d}", *shift)}
     else:
         result = calibrate(views, CalibrationOptions())
-        for name in ("fx", "fy", "cx", "cy"):
-            error = abs(getattr(result.camera, name) - Bench().truth[name])
-            assert error < 1.5 * result.coverage_factors[name] * result.sigma[name]
+        assert max(over_u(result, Bench().truth)) < 1.5
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", [pytest.param("polynomial", marks=pytest.mark.slow), "raytraced"])
+@pytest.mark.parametrize("world", ["polynomial", "raytraced"])
 def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     """Errors of the glass, of the pupil and of each pose could hide the shift."""
     drawn = WORLDS[world](700, 9, 1, 0)
@@ -111,31 +106,22 @@ def test_behind_a_real_collimator_a_shifted_view_is_named(world):
 
 
 @pytest.mark.slow  # test_sound_views_give_no_note shows three of them
-@settings(max_examples=1, deadline=None)
-@given(count=st.integers(2, 8), seed=st.integers(0, 999), noise_px=st.sampled_from([0.01, 0.05, 0.3]))
-def test_sound_views_are_not_doubted(count, seed, noise_px):
-    assert doubts(bench(seed, noise_px, count)) == []
+@settings(max_examples=3, deadline=None)
+@given(
+    count=st.integers(2, 8),
+    seed=st.integers(0, 999),
+    noise_px=st.sampled_from([0.01, 0.05, 0.3]),
+    origin_px=st.sampled_from([0.0, 0.5]),
+)
+def test_sound_views_of_one_origin_are_not_doubted(count, seed, noise_px, origin_px):
+    assert doubts([moved(view, origin_px) for view in bench(seed, noise_px, count)]) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("world", "count"),
-    [
-        ("polynomial", 3),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("product", 9), ("S1", 9), ("S2", 3))),
-    ],
-)
+@pytest.mark.parametrize(("world", "count"), [("polynomial", 3), ("product", 9), ("S1", 9), ("S2", 3)])
 def test_right_ids_behind_a_real_collimator_are_not_doubted(world, count):
     drawn = WORLDS[world](705, count, 1, 0)
     assert doubts(views_of(drawn), options_for(drawn, "0")) == []
-
-
-@pytest.mark.slow
-def test_two_shifted_views_of_six_are_named_together():
-    views = bench(1)
-    views[1], views[4] = misnamed(views[1], 1, 0), misnamed(views[4], 0, -2)
-    (cause,) = doubts(views)
-    assert shifts_of(cause) == {("pose-002", 1, 0), ("pose-005", 0, -2)}
 
 
 @pytest.mark.slow
@@ -174,8 +160,9 @@ def test_a_certificate_is_not_blamed_for_a_shifted_view():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("chosen", [(1, 5, 9), pytest.param((0, 3, 7, 11, 15, 19), marks=pytest.mark.slow)])
-def test_real_aberrations_are_not_taken_for_shifted_ids(collimator_recordings, chosen):
+@pytest.mark.parametrize("chosen", [(1, 5, 9), (0, 3, 7, 11, 15, 19), (1, 9, 18), (3, 6, 18)])
+def test_real_aberrations_and_a_hand_are_not_taken_for_shifted_ids(collimator_recordings, chosen):
+    """Shifted ids explain errors of the last ones better: the pupil may have been elsewhere."""
     views = read(collimator_recordings)
     assert doubts([views[i] for i in chosen]) == []
 
@@ -184,9 +171,7 @@ def moved(view, by):
     return replace(view, points_px=view.points_px + by)
 
 
-@pytest.mark.parametrize(
-    ("by", "along"), [(0.5, "right and down"), pytest.param(-0.5, "left and up", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("by", "along"), [(0.5, "right and down"), slow(-0.5, "left and up")])
 def test_a_few_views_with_another_origin_are_named(by, along):
     views = bench(4, 0.005, 5)
     for place in (1, 3):
@@ -197,19 +182,10 @@ def test_a_few_views_with_another_origin_are_named(by, along):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("noise_px", "named"), [pytest.param(0.01, True, marks=pytest.mark.slow), (0.05, False)]
-)
+@pytest.mark.parametrize(("noise_px", "named"), [(0.01, True), (0.05, False)])
 def test_an_offset_that_noise_could_explain_is_not_named(noise_px, named):
     """In the noisier views, half a pixel is less than 3 standard uncertainties."""
     views = bench(0, noise_px, 8)
     for place in (1, 4):
         views[place] = moved(views[place], 0.5)
     assert bool(doubts(views)) == named
-
-
-@pytest.mark.slow
-@settings(max_examples=2, deadline=None)
-@given(seed=st.integers(0, 999), count=st.integers(2, 8))
-def test_views_of_one_origin_are_not_doubted(seed, count):
-    assert doubts([moved(view, 0.5) for view in bench(seed, count=count)]) == []

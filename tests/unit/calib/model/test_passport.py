@@ -91,12 +91,6 @@ def test_what_is_no_passport_is_refused(change):
         Passport.from_dict({**good, **change})
 
 
-def test_the_planar_model_has_no_passport_to_give(bench):
-    planar = calibrate(bench.views(np.random.default_rng(67), 0.05), CalibrationOptions(model="planar"))
-    with pytest.raises(InputMismatch, match="planar"):
-        planar.passport()
-
-
 def test_a_state_without_a_wrong_passport_that_cannot_be_found_is_no_crash(bench, monkeypatch):
     def without(*_):
         raise np.linalg.LinAlgError
