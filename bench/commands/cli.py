@@ -10,12 +10,13 @@ import os
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import click
 
 from bench import __version__
-from bench.base.entry_points import COMMANDS, EntryPoint, entry_points, stale_remark
+from bench.base.entry_points import COMMANDS, entry_points, load_entry, stale_remark
 from bench.commands.options import RUN_STATUS
 
 SECTIONS = {
@@ -92,7 +93,7 @@ class LazyCommands(click.Group):
             return command
         for entry in entry_points(COMMANDS).values():
             if _stated(entry)[0] == cmd_name:
-                command = entry.load()
+                command = load_entry(entry)
                 return command
         return None
 

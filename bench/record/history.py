@@ -259,12 +259,8 @@ def apply_entry(history: History, entry: Entry) -> None:
             history.ended = history.why = ""
             _clear_hold(history)
             count_crash(history, data.get("crash"))
-        case Event.DEVICES | Event.DEVICES_LEFT:
-            _apply_devices(history, entry)
         case Event.DEVIATION:
             (history.holds if data.get("hold") else history.deviations).append(str(data["what"]))
-        case Event.SOLVED | Event.WRITTEN:
-            _apply_result(history, entry)
         case Event.COMMANDED:
             _apply_command(history, entry.of(Commanded))
         case Event.RUN_ENDED:
@@ -274,24 +270,13 @@ def apply_entry(history: History, entry: Entry) -> None:
                 history.failures.append(data["error"])
             _clear_hold(history)
             count_crash(history, data.get("crashed"))
+        case Event.DEVICES:
+            history.devices = entry.of(Devices)
+            history.devices_left = history.devices_at_end = ()
+        case Event.DEVICES_LEFT:
+            history.devices_left = tuple(data["devices"])
         case _:
             _apply_pose_entry(history, entry)
-
-
-def _apply_result(history: History, entry: Entry) -> None:
-    """Keep the numbers of a calibration, or the verdict on the last one."""
-    if entry.event == Event.SOLVED:
-        history.solved, history.verdict = entry.of(Solved), None
-    else:
-        history.verdict = entry.data.get("verdict")
-
-
-def _apply_devices(history: History, entry: Entry) -> None:
-    if entry.event == Event.DEVICES_LEFT:
-        history.devices_left = tuple(entry.data["devices"])
-        return
-    history.devices = entry.of(Devices)
-    history.devices_left = history.devices_at_end = ()
 
 
 def _apply_lateness(history: History, entry: Entry) -> None:
@@ -313,6 +298,10 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
         case Event.POSE_SKIPPED:
             history.skipped[int(data["pose"])] = str(data["what"])
             history.deviations.append(str(data["what"]))
+        case Event.SOLVED:
+            history.solved, history.verdict = entry.of(Solved), None
+        case Event.WRITTEN:
+            history.verdict = data.get("verdict")
         case Event.UNTIL_DECIDED:
             history.decisions.append(entry.of(UntilDecided))
         case Event.ATTEMPT_LOST:

@@ -218,11 +218,9 @@ class DiskSpace(Interlock):
         with storage_errors(self.folder):
             free_gb = shutil.disk_usage(self.folder).free / 1e9
         wanted_gb = self.config.release_gb if held else self.config.min_free_gb
-        return (
-            f"{beside_goal(free_gb, wanted_gb)} GB are free, at least {wanted_gb:g} GB are needed"
-            if free_gb < wanted_gb
-            else ""
-        )
+        if free_gb >= wanted_gb:
+            return ""
+        return f"{beside_goal(free_gb, wanted_gb)} GB are free, at least {wanted_gb:g} GB are needed"
 
 
 @dataclass(frozen=True)
@@ -257,17 +255,12 @@ class EventRate(Interlock):
         """See `Interlock.why`."""
         if held:
             rate_mev_s, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
-            return (
-                f"{beside_goal(rate_mev_s, most)} Mev/s in the dark, at most {most:g} are allowed"
-                if rate_mev_s > most
-                else ""
-            )
-        rate_mev_s, most = self.last_mev_s(), self.config.max_mev_s
-        return (
-            f"{beside_goal(rate_mev_s, most)} Mev/s in the last recording, at most {most:g} are allowed"
-            if rate_mev_s > most
-            else ""
-        )
+        else:
+            rate_mev_s, most = self.last_mev_s(), self.config.max_mev_s
+        if rate_mev_s <= most:
+            return ""
+        place = "dark" if held else "last recording"
+        return f"{beside_goal(rate_mev_s, most)} Mev/s in the {place}, at most {most:g} are allowed"
 
 
 @dataclass(frozen=True)

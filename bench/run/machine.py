@@ -1,7 +1,7 @@
 """States of a run and the edges between them; the work of each state is in `bench.run.states`.
 
 The order of calls, for a step that moves the stage: `Steps` (`bench.run.steps`) fires the trigger ``slew``. The machine
-tells its listener, the `Runner` (`bench.run.runner`), which writes ``entering`` into the journal. It changes the state
+tells the `Runner` (`bench.run.runner`), which writes ``entering`` into the journal. It changes the state
 and calls ``on_enter``, `StateWork.slewing` (`bench.run.states`), which moves the stage. Last, it tells the `Runner`.
 
 Only the edges in ``EDGES`` exist; none is automatic. The work runs in ``on_enter``: if it raises, the machine stays in
@@ -12,13 +12,14 @@ exception.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, Unpack, cast, get_args
 
 from bench.record.events import Circumstances, Entering, LeftOff
 
 if TYPE_CHECKING:
     from transitions import EventData
 
+    from bench.plan.job import ScriptStep
 
 State = Literal[
     "idle", "preflight", "homing", "lighting", "slewing", "settling", "recording", "checking", "choosing",
@@ -76,36 +77,20 @@ EDGES: tuple[tuple[Trigger, tuple[State, ...], State], ...] = (
 """(trigger, states that it leaves, state that it enters)."""
 
 
-class Numbered(Protocol):
-    """A step of a script; the machine needs only its number."""
-
-    @property
-    def number(self) -> int:
-        """Number of the step in the script, from 1."""
-        ...
-
-
-class Listener(Protocol):
-    """Receives every change of state; the run's journal is the main one."""
-
-    def entering(self, data: Entering) -> None:
-        """Receive a change before it is made."""
-        ...
-
-    def left_off(self, data: LeftOff) -> None:
-        """Receive the end of the work of a state, successful or not."""
-        ...
-
-
 class RunMachine:
-    """The state machine of one run; ``listener`` receives every change before it is made, and the end of its work.
+    """The state machine of one run; ``entering`` hears of every change before it is made, ``left_off`` how it ended.
 
     ``on_enter`` is the work of each state that has any, called with the step, the causes, and, by name, circumstances.
     """
 
-    def __init__(self, on_enter: Mapping[State, Callable[..., None]], listener: Listener) -> None:
+    def __init__(
+        self,
+        on_enter: Mapping[State, Callable[..., None]],
+        entering: Callable[[Entering], None],
+        left_off: Callable[[LeftOff], None],
+    ) -> None:
         self.state: State = "idle"
-        self._listener = listener
+        self._entering, self._left_off = entering, left_off
         import transitions  # here, because `status` needs the states alone
 
         def entered(work: Callable[..., None]) -> Callable[[EventData], None]:
@@ -130,7 +115,7 @@ class RunMachine:
     def fire(
         self,
         trigger: Trigger,
-        step: Numbered | None = None,
+        step: ScriptStep | None = None,
         *causes: Any,
         **circumstances: Unpack[Circumstances],
     ) -> None:
@@ -146,9 +131,9 @@ class RunMachine:
 
     def _intend(self, event: EventData) -> None:
         assert event.transition is not None
-        step: Numbered | None = next(iter(event.args), None)
+        step: ScriptStep | None = next(iter(event.args), None)
         number = {} if step is None else {"step": step.number}
-        self._listener.entering(
+        self._entering(
             cast("Entering", {"state": event.transition.dest, "from": self.state, **number, **event.kwargs})
         )
 
@@ -159,6 +144,6 @@ class RunMachine:
         if event.error is not None:
             facts["error"] = f"{type(event.error).__name__}: {event.error}"
         try:
-            self._listener.left_off(facts)
+            self._left_off(facts)
         except Exception as error:  # noqa: BLE001 - `transitions` would only log it; `fire` raises it
             self._unwritten = error

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, NotRequired, TypedDict
+from typing import Any, Literal
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.errors import StorageError
@@ -17,7 +17,7 @@ from bench.base.failure import FORESEEN, Failure
 from bench.base.progress import Progress
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.record import events
-from bench.record.device_end import DeviceEnd, DeviceEndData
+from bench.record.device_end import DeviceEnd
 from bench.record.events import Entering, LeftOff
 from bench.record.history import way_on
 from bench.record.journal import Journal
@@ -41,7 +41,6 @@ from bench.solve.result import Outcome, ResultWriter
 from bench.stations.devices import Devices
 from bench.wording.goals import decision_text
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
-from drivers.lateness import LatenessData
 from drivers.wire_log import WireLogFile
 from sequences.script import ChooseStep, MoveStep, RecordStep, SettleStep, WaitStep
 
@@ -51,13 +50,6 @@ MOST_LOSSES = 5
 """A device that is lost more often in the same step has a fault that opening it again does not mend."""
 
 End = Literal["finished", "aborted", "failed"]
-
-
-class _EndData(TypedDict):
-    """What every end of a run adds to its line of the journal."""
-
-    devices: Sequence[DeviceEndData]
-    lateness: NotRequired[LatenessData]
 
 
 @dataclass(frozen=True)
@@ -112,7 +104,7 @@ class Runner:
             decide or partial(decide_until, job, folder.path),
             progress.say,
         )
-        self._machine = RunMachine(StateWork(self.context).on_enter(), self)
+        self._machine = RunMachine(StateWork(self.context).on_enter(), self.entering, self.left_off)
         self._steps = Steps(self.context, self._machine)
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         self._names = pose_names(job, log.history)
@@ -142,7 +134,7 @@ class Runner:
             with self.context.clock.shielded():
                 self.context.devices.make_safe()
             self._note_end_of_wire_log()
-            self.context.log.write(events.RunEnded, how="finished", why="", **self._end_data())
+            self._write_end("finished", "")
         except Aborted as stop:
             return self._end_early("aborted", stop.reason)
         except FORESEEN as error:
@@ -231,22 +223,16 @@ class Runner:
             way_on(self.context.log.history, self.context.folder.path),
         )
 
-    def _end_data(self) -> _EndData:
-        """Return how the run leaves each device, and how late the computer was, as the journal holds it."""
-        data: _EndData = {"devices": [end.to_dict() for end in self.context.devices.ends()]}
+    def _write_end(
+        self, how: End, why: str, failure: Failure | None = None, *, crashed: bool = False
+    ) -> None:
+        """Journal the end of the run, how it leaves each device, and how late the computer was."""
+        facts: dict[str, Any] = {"error": failure.to_dict()} if failure is not None else {}
+        facts |= {"crashed": True} if crashed else {}
+        facts["devices"] = [end.to_dict() for end in self.context.devices.ends()]
         if lateness := self.context.clock.lateness():
-            data["lateness"] = lateness
-        return data
-
-    def _write_end(self, how: End, why: str, failure: Failure | None, *, crashed: bool) -> None:
-        if failure is None:
-            self.context.log.write(events.RunEnded, how=how, why=why, **self._end_data())
-            return
-        error, data = failure.to_dict(), self._end_data()
-        if crashed:
-            self.context.log.write(events.RunEnded, how=how, why=why, error=error, crashed=True, **data)
-        else:
-            self.context.log.write(events.RunEnded, how=how, why=why, error=error, **data)
+            facts["lateness"] = lateness
+        self.context.log.write(events.RunEnded, how=how, why=why, **facts)
 
     # ------------------------------------------------------------------ which steps
 

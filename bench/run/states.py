@@ -64,11 +64,7 @@ def preflight(devices: Devices, job: Job) -> events.Devices:
     reasons = stage_faults(devices) if devices.stage.is_homed() else []
     reasons += [f"light: {fault}" for fault in devices.light.faults()]
     reasons += camera_reasons
-    if reasons:
-        raise PreflightFailed(
-            f"The bench is not ready: {'; '.join(reasons)}.",
-            remedy="Correct this and run again.",
-        )
+    require_no_faults(reasons, "Correct this and run again.")
     stated = as_data(camera, events.CameraDeviceData)
     for name in OPTIONAL:
         if not stated[name]:
@@ -104,13 +100,10 @@ def stage_faults(devices: Devices) -> list[str]:
     return [f"stage: {fault}" for fault in devices.stage.faults()]
 
 
-def require_no_faults(reasons: list[str]) -> None:
+def require_no_faults(reasons: list[str], remedy: str = "Correct this first.") -> None:
     """Raise PreflightFailed with every reason against continuing, if there is one."""
     if reasons:
-        raise PreflightFailed(
-            f"The bench is not ready: {'; '.join(reasons)}.",
-            remedy="Correct this first.",
-        )
+        raise PreflightFailed(f"The bench is not ready: {'; '.join(reasons)}.", remedy=remedy)
 
 
 class StateWork:

@@ -30,10 +30,11 @@ def install(tmp_path, monkeypatch):
             for group, entries in groups.items()
         )
         (metadata / "entry_points.txt").write_text(text)
-        module.declared_lines.cache_clear()
+        (metadata / "METADATA").write_text(f"Name: {name}\nVersion: 1.0\n")
+        module.entry_points.cache_clear()
 
     yield installed
-    module.declared_lines.cache_clear()
+    module.entry_points.cache_clear()
 
 
 def test_the_command_of_the_page_is_listed_without_an_import_and_works(install, capsys, tmp_path):

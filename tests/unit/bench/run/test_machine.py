@@ -26,7 +26,8 @@ class Told:
 
 
 def machine_in(state, work=None, events=None):
-    machine = RunMachine(work or {}, Told(events))
+    told = Told(events)
+    machine = RunMachine(work or {}, told.entering, told.left_off)
     machine.state = state
     return machine
 
