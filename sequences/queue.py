@@ -7,7 +7,6 @@ from collections import Counter
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from sequences.schema import Name
 from sequences.strict_model import Form, StrictModel
@@ -37,9 +36,7 @@ def _known_zone(name: str) -> str:
     try:
         zoneinfo.ZoneInfo(name)
     except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):
-        raise PydanticCustomError(
-            "no_such_zone", "unknown time zone; write it like Europe/Berlin or UTC."
-        ) from None
+        raise ValueError("unknown time zone; write it like Europe/Berlin or UTC.") from None
     return name
 
 
@@ -98,7 +95,5 @@ class Queue(StrictModel):
         known = Counter(name.lower() for name in names)  # some file systems ignore case in folder names
         doubled = sorted({name for name in names if known[name.lower()] > 1})
         if doubled:
-            raise PydanticCustomError(
-                "doubled", "two jobs have the same name: {names}.", {"names": ", ".join(doubled)}
-            )
+            raise ValueError(f"two jobs have the same name: {', '.join(doubled)}.")
         return self

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
-from pydantic_core import PydanticCustomError
 
 from sequences.solve_schema import CheckConfig, DistortionTerm, Limit, SolveConfig
 from sequences.strict_model import Form, StrictModel, Within
@@ -44,9 +43,9 @@ class RuleConfig(StrictModel):
     @model_validator(mode="after")
     def _limits(self) -> RuleConfig:
         if self.lower is None and self.upper is None:
-            raise PydanticCustomError("no_limit", "needs lower, upper or both.")
+            raise ValueError("needs lower, upper or both.")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
-            raise PydanticCustomError("limits", "lower must be less than upper.")
+            raise ValueError("lower must be less than upper.")
         return self
 
 
@@ -109,7 +108,7 @@ class PoseConfig(MoveConfig):
     @model_validator(mode="after")
     def _has_an_angle(self) -> PoseConfig:
         if not self.angles_deg():
-            raise PydanticCustomError("no_angle", "a pose needs pan_deg, tilt_deg or roll_deg.")
+            raise ValueError("a pose needs pan_deg, tilt_deg or roll_deg.")
         return self
 
 
@@ -156,7 +155,7 @@ class Grid(StrictModel):
     @model_validator(mode="after")
     def _has_an_axis(self) -> Grid:
         if not self.angles_deg():
-            raise PydanticCustomError("no_axis", "a grid needs pan_deg, tilt_deg or roll_deg.")
+            raise ValueError("a grid needs pan_deg, tilt_deg or roll_deg.")
         return self
 
     def angles_deg(self) -> dict[str, list[float]]:
@@ -280,7 +279,7 @@ class UntilConfig(StrictModel):
     @model_validator(mode="after")
     def _has_a_goal(self) -> UntilConfig:
         if not self.goals():
-            raise PydanticCustomError("no_goal", "an until needs a goal: expanded_fx_px or worst_corner_px.")
+            raise ValueError("an until needs a goal: expanded_fx_px or worst_corner_px.")
         return self
 
     def goals(self) -> dict[str, float]:
@@ -299,7 +298,7 @@ class RepeatConfig(StrictModel):
     @model_validator(mode="after")
     def _poses_or_times(self) -> RepeatConfig:
         if (self.poses is None) == (self.times is None):
-            raise PydanticCustomError("poses_or_times", "a repeat needs either poses or times.")
+            raise ValueError("a repeat needs either poses or times.")
         return self
 
 
@@ -328,9 +327,10 @@ class StepConfig(StrictModel):
             return {value: {}}
         if isinstance(value, Mapping):
             if len(value) != 1:
-                message = "a step has one key, of {words}; this one has {count}: give each step its own dash."
                 words = ", ".join(cls.model_fields)
-                raise PydanticCustomError("one_word", message, {"words": words, "count": len(value)})
+                raise ValueError(
+                    f"a step has one key, of {words}; this one has {len(value)}: give each step its own dash."
+                )
             return {word: {} if given is None else given for word, given in value.items()}
         return value
 

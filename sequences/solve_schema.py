@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator
-from pydantic_core import PydanticCustomError
 
 from sequences.strict_model import StrictModel, Within
 
@@ -102,12 +101,10 @@ class SolveConfig(StrictModel):
         if isinstance(terms, str):
             return terms
         if len(set(terms)) != len(terms):
-            raise PydanticCustomError("term_twice", "a distortion term is given twice.")
+            raise ValueError("a distortion term is given twice.")
         if not any(set(terms) <= set(family) for family in LENS_FAMILIES):
             known = " or ".join(" ".join(family) for family in LENS_FAMILIES)
-            raise PydanticCustomError(
-                "two_lenses", "no lens model has all these terms; use terms of {known}.", {"known": known}
-            )
+            raise ValueError(f"no lens model has all these terms; use terms of {known}.")
         return terms
 
 

@@ -111,6 +111,8 @@ def _fault(issue: Any, tree: Tree, model: type[BaseModel]) -> Fault:
         if kind == "too_long" and len(issue["input"]) == 2 * context["max_length"]:
             hint = f" {_POINT}, if these are decimals: a comma separates."
         message = f"{MESSAGES[kind].format(**context)}{got}.{hint}"
+    elif kind == "value_error":
+        message = str(context["error"])
     else:
         message = issue["msg"]
     return Fault(tree.file, *spot, path_text(path), message)

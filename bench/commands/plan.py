@@ -109,7 +109,7 @@ def _plan_dict(
         **planned.to_dict(),
         "missing_software": _missing_software(planned),
         "expected": _forecast_dict(forecast),
-        "expected_untils": [course.to_dict() for course in forecast.courses] if forecast else [],
+        "expected_untils": [asdict(course) for course in forecast.courses] if forecast else [],
         "suggested": poses,
     }
 
@@ -225,7 +225,7 @@ def _show_night(queue: Path, begin: datetime | None) -> int:
         for name, forecast in forecasts.items()
     }
     untils = {
-        name: [course.to_dict() for course in forecast.courses]
+        name: [asdict(course) for course in forecast.courses]
         for name, forecast in forecasts.items()
         if forecast
     }

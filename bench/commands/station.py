@@ -67,7 +67,7 @@ def target(station: str, output: Path | None) -> int:
     use = use_of(described.target, optics)
     data = described.target.model_dump(mode="json") | {"size_mm": list(described.target.size_mm)}
     show(
-        lambda: {"target": data, "optics": asdict(optics), **use.to_dict()},
+        lambda: {"target": data, "optics": asdict(optics), **asdict(use)},
         _lines(described.target, optics, use),
     )
     return 0
@@ -235,7 +235,7 @@ def station_new(
     from bench.record.storage import write_new
     from bench.stations.asked_devices import RESTARTS, ask_light, ask_stage
     from bench.stations.discovery import discover
-    from bench.stations.placeholders import UNKNOWN_SERIAL
+    from bench.stations.placeholders import Unknown
     from bench.stations.practice import draft_stand_ins
     from bench.stations.station_draft import draft_station, free_ports, ports_to_ask
 
@@ -272,7 +272,7 @@ def station_new(
     for sentence in discovery.missing:
         click.echo(f"Missing: {sentence}")
     click.echo(
-        f"Written: {path}. Replace every placeholder (such as {UNKNOWN_SERIAL}), check scales and limits, then:"
+        f"Written: {path}. Replace every placeholder (such as {Unknown.SERIAL}), check scales and limits, then:"
         f" {pasteable('plan', 'three_pose', '-s', path)}"
     )
     if discovery.missing:
@@ -362,7 +362,7 @@ def devices(wiring: bool, station: str | None, yes: bool) -> int:
 def show_devices(discovery: Discovery) -> int:
     """Print the connected devices and the missing software."""
     plugins = _plugins()
-    show(lambda: {**discovery.to_dict(), "plugins": plugins}, _device_lines(discovery, plugins))
+    show(lambda: {**asdict(discovery), "plugins": plugins}, _device_lines(discovery, plugins))
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from bench.record.ledger import bench_ledger
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
 from bench.work.kept_rows import KeptRows
-from bench.work.verifications import VERIFIED, Check, Checked, check_one, derivations_of
+from bench.work.verifications import DERIVED_KINDS, VERIFIED, Check, Checked, check_one, derivations_of
 from bench.work.workers import Finished, Workers, map_work
 
 NOT_COMPARED = 4
@@ -197,7 +198,10 @@ def _ended(
         kept.add(str(folder), checked.row)
     verification = checked.verification
     if verification.ok:
-        verification.add(_checks_of_this_bench(folder, verification.kind, check))
+        findings = Findings()
+        findings.derive(folder, _checks_of_this_bench(folder, check.trust, again=check.again))
+        findings.add(check_authorisation(folder))
+        verification.add(findings)
     if not verification.ok:
         faults = " ".join(f"{fault}." for fault in verification.faults)
         return "failed", f"{folder.name}: NOT VERIFIED. {faults}", verification.to_dict()
@@ -216,7 +220,7 @@ def again_line(folder: Path) -> PartsLine:
     return PartsLine(things, "the results are calculated again", quiet=wants_json())
 
 
-def derivations(folder: Path, trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
+def derivations(folder: Path, trust: Trust, *, again: bool) -> list[Derivation]:
     """Return the further checks of a folder for `verify_folder`: ledger, recordings, with ``again`` the numbers."""
 
     def of_folder(folder: Path) -> Findings:
@@ -225,35 +229,18 @@ def derivations(folder: Path, trust: Trust, *, again: bool) -> dict[str, list[De
             findings.derive(folder, derivations_of(folder, again=again, progress=reached))
         return findings
 
-    of_kinds: dict[str, list[Derivation]] = {
-        **_checks_of_kind(folder, trust, again=again),
-        "run": [_check_ledger, of_folder],
-        "results": [of_folder],
-    }
-    return {name: [*checks, check_authorisation] for name, checks in of_kinds.items()}
+    checks = _checks_of_this_bench(folder, trust, again=again)
+    if folder_kind(folder).name in DERIVED_KINDS:
+        checks.append(of_folder)
+    return [*checks, check_authorisation] if checks else []
 
 
-def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
-    """Compare a folder with the ledger of this bench, which no worker has."""
-    of_kinds: dict[str, list[Derivation]] = {
-        **_checks_of_kind(folder, check.trust, again=check.again),
-        "run": [_check_ledger],
-    }
-    findings = Findings()
-    findings.derive(folder, of_kinds.get(kind, []))
-    findings.add(check_authorisation(folder))
-    return findings
-
-
-def _checks_of_kind(folder: Path, trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
-    """Return the checks that the kind of a folder brings."""
-
-    def verify_run(run: Path) -> Verification:
-        return verify_one(run, trust, again=True)
-
+def _checks_of_this_bench(folder: Path, trust: Trust, *, again: bool) -> list[Derivation]:
+    """Return the checks that no worker makes: by the ledger of this bench, or those that the kind of folder brings."""
     kind = folder_kind(folder)
-    checks = list(kind.checks(verify_run if again else None))
-    return {kind.name: checks} if checks else {}
+    if kind.name == "run":
+        return [_check_ledger]
+    return list(kind.checks(partial(verify_one, trust=trust, again=True) if again else None))
 
 
 def check_authorisation(folder: Path) -> Findings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
@@ -78,9 +78,6 @@ Derivation = Callable[[Path], Findings]
 """Derives parts of a sealed folder again and compares. It takes the folder, changes nothing in it, and returns what it
 found. It is called only while no check has found a fault, so it may rely on the list of files and on the journal. What
 it cannot read is a fault, never an exception; only StorageError and OSError may leave it."""
-
-Derivations = Mapping[str, Sequence[Derivation]]
-"""The derivations of each kind of folder (`bench.evidence.folder_kinds`)."""
 
 
 class State(StrEnum):

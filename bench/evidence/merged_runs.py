@@ -57,7 +57,7 @@ class MergedLedgers:
     """Several ledgers as one."""
 
     sources: Sequence[LedgerSource]
-    entered: Mapping[str, EnteredRun]  # Each run once, by the hash of its line
+    entered: dict[str, EnteredRun] = field(default_factory=dict)  # Each run once, by the hash of its line
     faults: list[str] = field(default_factory=list)  # As in `LedgerSource`, of all ledgers and between them
     notes: list[str] = field(default_factory=list)  # The same
 
@@ -104,15 +104,12 @@ def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
         if folder in kept:
             notes.append(f"The ledger in {source.folder} was named twice; it counts once.")
         kept.setdefault(folder, source)
-    merged = MergedLedgers(list(kept.values()), {}, [], notes)
-    for ledger_source in merged.sources:
-        merged.faults += ledger_source.faults
-        merged.notes += ledger_source.notes
-    entered: dict[str, EnteredRun] = {}
+    merged = MergedLedgers(list(kept.values()), notes=notes)
     for source in merged.sources:
+        merged.faults += source.faults
+        merged.notes += source.notes
         for run in source.runs:
-            entered.setdefault(run.head, EnteredRun(run, source.bench, source.identity))
-    merged.entered = entered
+            merged.entered.setdefault(run.head, EnteredRun(run, source.bench, source.identity))
     return merged
 
 

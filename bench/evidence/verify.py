@@ -1,13 +1,13 @@
 """Verify a sealed folder: signature, files, authorisation, time stamps, journal.
 
 It writes nothing, trusts nothing in the folder, and reports all faults. Trusted keys come from outside the folder;
-ledger and engine come in as callables (`Derivations`), so that this package imports no engine.
+ledger and engine come in as callables (`Derivation`), so that this package imports no engine.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.beside_seal import read_beside
-from bench.evidence.findings import Derivations, Findings, Verification
+from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.folder_kinds import folder_kind, markers
 from bench.evidence.journal_check import check_journal
 from bench.evidence.key_trust import Trust
@@ -140,15 +140,15 @@ def verify_folder(
     now: datetime | None = None,
     at: datetime | None = None,
     camera_serial: str | None = None,
-    derivations: Derivations | None = None,
+    derivations: Sequence[Derivation] | None = None,
     again: bool = False,
 ) -> Verification:
     """Check a sealed folder: a run, a certificate, recalculated results, or any other (`bench.evidence.folder_kinds`).
 
-    ``derivations`` gives for each kind further checks, called in order with the folder alone, while no check has found
-    a fault; they return `Findings`. ``trust`` comes from `read_trust`, or is trusted keys alone. ``now`` has its time
-    zone, None for the system's; ``at`` is as for `standing_of`. ``camera_serial`` reveals a report of another camera.
-    ``again`` is only stated.
+    ``derivations`` are further checks, called in order with the folder alone, while no check has found a fault; an
+    empty list: nothing is known of its files. ``trust`` comes from `read_trust`, or is trusted keys alone. ``now`` has
+    its time zone, None for the system's; ``at`` is as for `standing_of`. ``camera_serial`` reveals a report of another
+    camera. ``again`` is only stated.
     """
     if not folder.is_dir() or not any(
         (folder / name).exists() for name in (MANIFEST, CERTIFICATE, *markers())
@@ -169,12 +169,11 @@ def verify_folder(
             check_journal(folder, manifest, verification) if kind == "run" and manifest is not None else None
         )
         _results(folder, captures, camera_serial, verification)
-        derive_with = (derivations or {}).get(kind, ())
-        if derivations is not None and not derive_with:
+        if derivations is not None and not derivations:
             verification.not_compared.append(
                 f"nothing is known of the files of a folder of the kind {kind!r}"
             )
-        verification.derive(folder, derive_with)
+        verification.derive(folder, derivations or ())
     return verification
 
 

@@ -6,8 +6,7 @@ A course takes the choices and the ends of a run (`bench.solve.next_pose`), on t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from bench.plan.plan import Plan
 from bench.solve.forecasts import (
@@ -40,10 +39,6 @@ class ExpectedCourse:
     poses: int | None
     reached: Mapping[str, float]  # Expanded uncertainties expected at its end, px, by name of the goal
     text: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the expectation for JSON output."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from bench.record.stored_run import results_of
 from bench.solve import results_content
 from bench.solve.offline import OfflineResult
 from bench.solve.result import shown_files
-from bench.solve.results_content import collimator_data, projection, target_data
+from bench.solve.results_content import collimator_data, pose_row, projection, target_data
 from bench.solve.software import files_software
 from bench.solve.sources import options_data
 from bench.solve.view_sources import PHOTOGRAPHS, ViewSource, jobs_of
@@ -164,18 +164,8 @@ def _run_facts(result: OfflineResult, name: str, sealed_by: SealedBy | None) -> 
 
 def _pose_rows(result: OfflineResult) -> list[dict[str, Any]]:
     """Return what results.json states about each pose."""
-    return [
-        {
-            "index": index,
-            "name": view.name,
-            "commanded_deg": source.attempt.stored["commanded_deg"] if source.attempt else None,
-            "measured_deg": source.attempt.stored["measured_deg"] if source.attempt else None,
-            "stars": view.n,
-            "rms_px": view.rms_px,
-            "mean_px": view.mean_px,
-        }
-        for index, (view, source) in enumerate(zip(result.calibration.views, result.sources, strict=True), 1)
-    ]
+    pairs = zip(result.calibration.views, result.sources, strict=True)
+    return [pose_row(index, view.name, source.attempt, view) for index, (view, source) in enumerate(pairs, 1)]
 
 
 def _jobs(result: OfflineResult) -> list[Job]:

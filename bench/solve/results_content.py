@@ -115,16 +115,8 @@ def results_content(
         "passport": solution.passport.to_dict() if solution.passport else None,
         "gimbal_readings": solution.readings,
     }
-    if checks.halves is not None:
-        results["halves"] = checks.halves
-    if checks.gimbal is not None:
-        results["gimbal"] = checks.gimbal
-    if checks.parallax is not None:
-        results["parallax"] = checks.parallax
-    if checks.mount_faces is not None:
-        results["mount_faces"] = checks.mount_faces
-    if checks.check is not None:
-        results["check"] = checks.check.to_dict()
+    found = {**vars(checks), "check": checks.check.to_dict() if checks.check else None}
+    results |= {name: part for name, part in found.items() if part is not None}
     results["poses"] = pose_data(history, calibration.views, job.camera_kind)
     results["gates"] = gates
     if judged_limits is not None:
@@ -253,6 +245,19 @@ def pose_data(history: History, views: Sequence[ViewSummary], kind: CameraKind) 
             }
         )
     return poses
+
+
+def pose_row(index: int, name: str, attempt: Attempt | None, summary: ViewSummary | None) -> dict[str, Any]:
+    """Return what is stated of a pose that was calibrated without devices: its recording, if known, and its stars."""
+    return {
+        "index": index,
+        "name": name,
+        "commanded_deg": attempt.stored["commanded_deg"] if attempt else None,
+        "measured_deg": attempt.stored["measured_deg"] if attempt else None,
+        "stars": summary.n if summary else 0,
+        "rms_px": summary.rms_px if summary else None,
+        "mean_px": summary.mean_px if summary else None,
+    }
 
 
 def _attempt(attempt: Attempt, kind: CameraKind) -> AttemptData:

@@ -264,7 +264,7 @@ def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
     from bench.plan.job import Job
     from bench.solve.offline import calibrate_paths
     from bench.solve.offline_options import OfflineOptions
-    from bench.solve.results_content import SCHEMA
+    from bench.solve.results_content import SCHEMA, pose_row
 
     folder, history = run.folder, run.history
     if run.is_rehearsal:
@@ -280,16 +280,7 @@ def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
         "run": {"id": history.started["id"]},
         "calibration": result.calibration.to_dict(),
         "poses": [
-            {
-                "index": attempt.pose_index,
-                "name": name,
-                "commanded_deg": attempt.stored["commanded_deg"],
-                "measured_deg": attempt.stored["measured_deg"],
-                "stars": seen[name].n if name in seen else 0,
-                "rms_px": seen[name].rms_px if name in seen else None,
-                "mean_px": seen[name].mean_px if name in seen else None,
-            }
-            for name, attempt in accepted.items()
+            pose_row(attempt.pose_index, name, attempt, seen.get(name)) for name, attempt in accepted.items()
         ],
     }
     return results_of(canonical_json(content), folder / RESULTS), [

@@ -9,7 +9,7 @@ after the operator has agreed (`RESTARTS`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,7 +18,7 @@ from drivers.errors import DriverError
 from drivers.light.gardasoft import IDENTITY, GardasoftLight, RtLine
 from drivers.light.scpi import ScpiLight
 from drivers.light.scpi_dialects import DialectName
-from drivers.serial_port import SerialPort, closed_on_error
+from drivers.serial_port import SerialPort
 from drivers.stage.esp import EspStage
 from drivers.stage.grbl import GrblStage
 from drivers.stage.grbl_controller import GrblController
@@ -104,36 +104,26 @@ class AskedLight:
     model: str = ""  # Of a controller that is recognised by it
 
 
-def ask_stage(
-    driver: str, ports: Sequence[str], clock: Clock, scale: float | None = None
-) -> AskedStage | None:
-    """Return the first stage that answers on one of the ports; None if none does, or the driver cannot ask.
-
-    ``scale``, microsteps per degree, is that of axes whose controller does not state it.
-    """
+def ask_stage(driver: str, ports: Sequence[str], clock: Clock) -> AskedStage | None:
+    """Return the first stage that answers on one of the ports; None if none does, or the driver cannot ask."""
     ask, alone = _STAGES.get(driver), _CONTROLLERS.get(driver)
-    for port in ports if ask else ():
-        try:
-            axes = ask(port, clock, scale) if ask else []
-        except DriverError:
-            continue  # another device, or none
-        if axes:
-            return AskedStage(port, axes)
-    axes = []
-    for port in ports if alone else ():
+    axes: list[AskedAxis] = []
+    for port in ports:
         with suppress(DriverError):  # another device, or none
-            axes += [alone(port, name, clock) for name in AXES[len(axes) : len(axes) + 1]] if alone else []
+            if ask is not None and (axes := ask(port, clock)):
+                return AskedStage(port, axes)
+            if alone is not None and len(axes) < len(AXES):
+                axes.append(alone(port, AXES[len(axes)], clock))
     return AskedStage(axes[0].port, axes) if axes else None
 
 
 def ask_light(driver: str, ports: Sequence[str], clock: Clock) -> AskedLight | None:
     """Return the first light that answers on one of the ports; None if none does, or the driver cannot ask."""
     ask = _LIGHTS.get(driver)
-    for port in ports if ask else ():
-        try:
-            return ask(port, clock) if ask else None
-        except DriverError:
-            continue  # another device, or none
+    if ask is not None:
+        for port in ports:
+            with suppress(DriverError):  # another device, or none
+                return ask(port, clock)
     return None
 
 
@@ -148,13 +138,11 @@ def dialect_of(maker: str, model: str) -> DialectName:
     return "numbered" if maker.upper().startswith(_NUMBERED) or model.startswith(_NUMBERED) else "keysight"
 
 
-def _zaber_axes(port: str, clock: Clock, scale: float | None) -> list[AskedAxis]:
+def _zaber_axes(port: str, clock: Clock) -> list[AskedAxis]:
     """Return the devices of a chain, from address 1 on, one axis each."""
-    line = SerialPort(port, baudrate=ZABER_BAUDRATE)
-    with closed_on_error(line):
-        chain = ZaberChain(line, range(1, len(AXES) + 1), clock=clock)
     axes = []
-    try:
+    with closing(SerialPort(port, baudrate=ZABER_BAUDRATE)) as line:
+        chain = ZaberChain(line, range(1, len(AXES) + 1), clock=clock)
         for device, name in enumerate(AXES, start=1):
             try:
                 serial = chain.query(device, 0, "get system.serial", strict=False).data
@@ -164,21 +152,16 @@ def _zaber_axes(port: str, clock: Clock, scale: float | None) -> list[AskedAxis]
                 chain.parse_integer(chain.query(device, 1, f"get {setting}", strict=False).data)
                 for setting in ("limit.cycle.dist", "limit.min", "limit.max")
             )
-            axes.append(
-                AskedAxis(name, device, serial, turn / 360.0 if turn else scale, (limits[0], limits[1]))
-            )
-    finally:
-        chain.close()
+            scale = turn / 360.0 if turn else None
+            axes.append(AskedAxis(name, device, serial, scale, (limits[0], limits[1])))
     return axes
 
 
-def _esp_axes(port: str, clock: Clock, _: float | None) -> list[AskedAxis]:
+def _esp_axes(port: str, clock: Clock) -> list[AskedAxis]:
     """Return the axes of an ESP controller that have a stage, with their limits; they count in degrees."""
-    line = SerialPort(port, baudrate=EspStage.BAUDRATE, rtscts=EspStage.RTSCTS)
-    with closed_on_error(line):
-        link = EspStage.line(line, clock)
     axes = []
-    try:
+    with closing(SerialPort(port, baudrate=EspStage.BAUDRATE, rtscts=EspStage.RTSCTS)) as line:
+        link = EspStage.line(line, clock)
         for number, name in enumerate(AXES, start=1):
             try:
                 serial = link.query(f"{number}ID?").partition(",")[2].strip()
@@ -187,20 +170,14 @@ def _esp_axes(port: str, clock: Clock, _: float | None) -> list[AskedAxis]:
                 break  # no stage at this number
             if serial:
                 axes.append(AskedAxis(name, number, serial, 1.0, (low, high)))
-    finally:
-        link.close()
     return axes
 
 
-def _grbl_axes(port: str, clock: Clock, _: float | None) -> list[AskedAxis]:
+def _grbl_axes(port: str, clock: Clock) -> list[AskedAxis]:
     """Return pan and tilt of a board, X and Y, with the scales and the travel that it has stored."""
-    line = SerialPort(port, baudrate=GrblStage.BAUDRATE)
-    with closed_on_error(line):
+    with closing(SerialPort(port, baudrate=GrblStage.BAUDRATE)) as line:
         board = GrblController(line, clock=clock)
-    try:
         name, settings = board.query_build_info()[1], board.query_settings()
-    finally:
-        board.close()
     axes = []
     for at, axis in enumerate(AXES[:2]):
         steps, travel_deg = (settings.get(first + at) for first in (_SCALE, _TRAVEL))
@@ -211,51 +188,32 @@ def _grbl_axes(port: str, clock: Clock, _: float | None) -> list[AskedAxis]:
 
 
 def _ximc_axis(port: str, name: str, clock: Clock) -> AskedAxis:
-    line = SerialPort(port, **XimcStage.PORT)
-    with closed_on_error(line):
-        controller = XimcController(line, clock=clock)
-    controller.close()
-    return AskedAxis(name, 1, controller.serial, None, port=port)
+    with closing(SerialPort(port, **XimcStage.PORT)) as line:
+        return AskedAxis(name, 1, XimcController(line, clock=clock).serial, None, port=port)
 
 
 def _thorlabs_axis(port: str, name: str, clock: Clock) -> AskedAxis:
-    line = SerialPort(port, **ThorlabsStage.PORT)
-    with closed_on_error(line):
+    with closing(SerialPort(port, **ThorlabsStage.PORT)) as line:
         controller = ThorlabsController(line, clock=clock)
-    try:
-        information = controller.read_information()
-    finally:
-        controller.close()
-    return AskedAxis(
-        name,
-        1,
-        information.serial,
-        controller.family.counts_per_deg or None,
-        port=port,
-        model=information.model,
-    )
+        information, scale = controller.read_information(), controller.family.counts_per_deg or None
+    return AskedAxis(name, 1, information.serial, scale, port=port, model=information.model)
 
 
 def _generator(port: str, clock: Clock) -> AskedLight:
-    line = SerialPort(port, baudrate=ScpiLight.BAUDRATE)
-    with closed_on_error(line):
-        link = ScpiLine(line, clock=clock)
-    maker, model, serial, _ = link.identity
-    link.close()
+    with closing(SerialPort(port, baudrate=ScpiLight.BAUDRATE)) as line:
+        maker, model, serial, _ = ScpiLine(line, clock=clock).identity
     return AskedLight(port, f"{maker} {model}", "" if serial == "0" else serial, dialect_of(maker, model))
 
 
 def _strobe_controller(port: str, clock: Clock) -> AskedLight:
-    line = SerialPort(port, baudrate=GardasoftLight.BAUDRATE)
-    with closed_on_error(line):
-        link = RtLine(line, clock=clock)
-    identity = IDENTITY.fullmatch(link.identity_text)
-    link.close()
-    model = identity[1] if identity else link.identity_text
+    with closing(SerialPort(port, baudrate=GardasoftLight.BAUDRATE)) as line:
+        text = RtLine(line, clock=clock).identity_text
+    identity = IDENTITY.fullmatch(text)
+    model = identity[1] if identity else text
     return AskedLight(port, f"Gardasoft {model}", "", model=model)
 
 
-_STAGES: Final[Mapping[str, Callable[[str, Clock, float | None], list[AskedAxis]]]] = {
+_STAGES: Final[Mapping[str, Callable[[str, Clock], list[AskedAxis]]]] = {
     "zaber_ascii": _zaber_axes,
     "esp30x": _esp_axes,
     "grbl": _grbl_axes,

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import model_validator
-from pydantic_core import PydanticCustomError
 
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
@@ -101,7 +100,7 @@ class OpenCvCameraConfig(FrameCameraSection):
     @model_validator(mode="after")
     def _one_source(self) -> OpenCvCameraConfig:
         if (self.source is None) == (self.source_env is None):
-            raise PydanticCustomError("one_source", "give either source or source_env.")
+            raise ValueError("give either source or source_env.")
         return self
 
     def source_in_use(self, environ: Mapping[str, str] = os.environ) -> str:

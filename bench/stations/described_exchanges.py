@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Field, field_validator
-from pydantic_core import PydanticCustomError
 
 from drivers.described import description as of
-from drivers.described.description import Template, TemplateFault, parse_template
+from drivers.described.description import Template, parse_template
 from sequences.strict_model import StrictModel
 
 ADDRESS = frozenset({"address"})
@@ -17,22 +16,10 @@ NOTHING: frozenset[str] = frozenset()
 Line = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-def parsed(text: str, known: frozenset[str], readable: frozenset[str] | None) -> Template:
-    """Read a template as `drivers.described.description.parse_template`; a fault becomes one of the document."""
-    try:
-        return parse_template(text, known=known, readable=readable)
-    except TemplateFault as fault:
-        raise PydanticCustomError("template", "{fault}", {"fault": str(fault)}) from fault
-
-
 def check_has(template: Template, value: str, where: str, *, of_axes: bool = False) -> None:
     """Refuse a template without the value that it must have; of several axes, such as ``counts_2``, if it may be."""
     if value and value not in template.read_names and not (of_axes and axes_told(template, value)):
-        raise PydanticCustomError(
-            "no_value",
-            "the value is missing; write {name} where it {where}.",
-            {"name": f"{{{value}:...}}", "where": where},
-        )
+        raise ValueError(f"the value is missing; write {{{value}:...}} where it {where}.")
 
 
 def axes_told(template: Template, value: str) -> set[str]:
@@ -42,19 +29,19 @@ def axes_told(template: Template, value: str) -> set[str]:
 
 def parsed_request(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
     """Read a request, which may carry one value."""
-    return parsed(text, known, frozenset({value} - {""}))
+    return parse_template(text, known=known, readable=frozenset({value} - {""}))
 
 
 def parsed_reply(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
     """Read a reply, which must have one value, or need not have any; ``request`` may stand in it too."""
-    reply = parsed(text, known | {"request"}, None)
+    reply = parse_template(text, known=known | {"request"}, readable=None)
     check_has(reply, value, "stands", of_axes=bool(known))
     return reply
 
 
 def parsed_line(text: str) -> Template:
     """Read the form of a line that answers nothing."""
-    return parsed(text, NOTHING, None)
+    return parse_template(text, known=NOTHING, readable=None)
 
 
 def _kept(check: Callable[[str], Template]) -> AfterValidator:

@@ -6,7 +6,7 @@ It reads the lists of the operating system and sends no byte to a device, so tha
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +38,6 @@ class Discovery:
     ports: tuple[FoundPort, ...]
     cameras: tuple[FoundCamera, ...]
     missing: tuple[str, ...]  # Sentences that say what is missing in order to find or use more
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the discovery as ``--json`` prints it."""
-        return asdict(self)
 
 
 def discover(by_id: Path = BY_ID) -> Discovery:

@@ -10,7 +10,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
-from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import Text, Variable
 from sequences.reader import Located
@@ -46,9 +45,9 @@ class MailConfig(StrictModel):
     @model_validator(mode="after")
     def _never_in_the_clear(self) -> MailConfig:
         if (self.user is None) != (self.password_env is None):
-            raise PydanticCustomError("half_login", "user and password_env must be given together.")
+            raise ValueError("user and password_env must be given together.")
         if self.user is not None and self.security == "none":
-            raise PydanticCustomError("in_the_clear", "a password is sent only with starttls or tls.")
+            raise ValueError("a password is sent only with starttls or tls.")
         return self
 
 

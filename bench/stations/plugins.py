@@ -24,7 +24,6 @@ from pydantic import (
     create_model,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from bench.stations.sections import (
     EventCameraSection,
@@ -100,8 +99,7 @@ def with_plugins(
     def refuse_former(value: Any) -> Any:
         name = value.get("driver") if isinstance(value, Mapping) else None
         if isinstance(name, str) and name in former:
-            what = {"name": name, "why": former[name]}
-            raise PydanticCustomError("driver_taken_out", "the driver '{name}' was taken out, {why}", what)
+            raise ValueError(f"the driver {name!r} was taken out, {former[name]}")
         return value
 
     told_apart = Field(discriminator="driver")
@@ -153,7 +151,7 @@ def _broken(plugin: Plugin) -> type[BaseModel]:
     )
 
     def refuse(_cls: Any, _value: Any) -> Any:
-        raise PydanticCustomError("broken_plugin", "{what}", {"what": what})
+        raise ValueError(what)
 
     check: Any = model_validator(mode="before")
     driver: Any = Literal[plugin.name]

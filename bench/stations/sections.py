@@ -14,10 +14,9 @@ from pydantic import (
     Field,
     field_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from bench.base.clock import BenchClock
-from bench.stations.placeholders import UNKNOWN_PORT
+from bench.stations.placeholders import Unknown
 from bench.stations.station_fields import SIMULATED_PREFIX, Frame, Serial, Text
 from drivers.camera import EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
@@ -67,11 +66,9 @@ class AxisConfig(StrictModel):
     @classmethod
     def _in_order(cls, limits: tuple[float, float]) -> tuple[float, float]:
         if limits[0] >= limits[1]:
-            raise PydanticCustomError("limits_order", "the lower limit must be below the upper one.")
+            raise ValueError("the lower limit must be below the upper one.")
         if not limits[0] <= 0 <= limits[1]:
-            raise PydanticCustomError(
-                "no_zero", "0 degrees must be within the limits: the stage is parked there."
-            )
+            raise ValueError("0 degrees must be within the limits: the stage is parked there.")
         return limits
 
     @property
@@ -298,10 +295,10 @@ def differing(*keys: str) -> AfterValidator:
 
     def check(axes: dict[Axis, Any]) -> dict[Axis, Any]:
         given = [tuple(getattr(axis, key) for key in keys) for axis in axes.values()]
-        filled = [values for values in given if UNKNOWN_PORT not in values]
+        filled = [values for values in given if Unknown.PORT not in values]
         if len(set(filled)) < len(filled):
             shared = " and ".join(keys)
-            raise PydanticCustomError("same_address", "two axes have the same {shared}.", {"shared": shared})
+            raise ValueError(f"two axes have the same {shared}.")
         return axes
 
     return AfterValidator(check)

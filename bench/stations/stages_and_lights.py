@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 from bench.stations.placeholders import ToFillIn, not_zero
 from bench.stations.plugins import with_plugins
@@ -275,9 +274,9 @@ class ScpiLightConfig(SerialLine, AnyLight):
     @model_validator(mode="after")
     def _in_order(self) -> ScpiLightConfig:
         if self.low_v >= self.high_v:
-            raise PydanticCustomError("levels_order", "low_v must be below high_v.")
+            raise ValueError("low_v must be below high_v.")
         if self.frequency_range_hz[0] >= self.frequency_range_hz[1]:
-            raise PydanticCustomError("range_order", "frequency_range_hz must be [lowest, highest].")
+            raise ValueError("frequency_range_hz must be [lowest, highest].")
         return self
 
     def settings(self, flicker: Flicker) -> LightSettings:

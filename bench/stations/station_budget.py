@@ -22,7 +22,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import FocalLength, Positive, Serial, Text
 from calib.model.gimbal_readings import BESIDE_AXES_MM
@@ -46,15 +45,13 @@ _TERMS = ("print_scale", "print_bow", "thermal", "collimator_thermal", "effectiv
 
 
 def _date(value: Any) -> Any:
-    """Read a date; raise PydanticCustomError if it is not one."""
+    """Read a date; raise ValueError if it is not one."""
     if not isinstance(value, str):
         return value
     if _DATE.fullmatch(value):
         with suppress(ValueError):  # a day that does not exist, such as 2026-02-30: refused below
             return dt.date.fromisoformat(value)
-    raise PydanticCustomError(
-        "no_date", "must be a date, year-month-day: 2026-03-31 (got {got}).", {"got": repr(value[:60])}
-    )
+    raise ValueError(f"must be a date, year-month-day: 2026-03-31 (got {value[:60]!r}).")
 
 
 Date = Annotated[dt.date, BeforeValidator(_date)]
@@ -89,7 +86,7 @@ class CertificateConfig(StrictModel):
     @model_validator(mode="after")
     def _ends_after_it_begins(self) -> CertificateConfig:
         if self.date and self.valid_until and self.valid_until < self.date:
-            raise PydanticCustomError("dates", "valid_until is before the date of the certificate.")
+            raise ValueError("valid_until is before the date of the certificate.")
         return self
 
     @property
@@ -136,19 +133,16 @@ class CollimatorConfig(StrictModel):
         nominal = info.data.get("nominal_r_mm")
         stated = certificate.r_mm if isinstance(certificate, CertificateConfig) else None
         if stated is not None and nominal is not None and abs(stated - nominal) > _OTHER_RADIUS * nominal:
-            raise PydanticCustomError(
-                "other_collimator",
-                "r_mm {stated} is more than 15 % off nominal_r_mm {nominal}: another collimator's. Correct one.",
-                {"stated": f"{stated:g}", "nominal": f"{nominal:g}"},
+            raise ValueError(
+                f"r_mm {stated:g} is more than 15 % off nominal_r_mm {nominal:g}: another collimator's. Correct one."
             )
         return certificate
 
     @model_validator(mode="after")
     def _certificate_or_passport(self) -> CollimatorConfig:
         if self.passport is not None and isinstance(self.certificate, CertificateConfig):
-            raise PydanticCustomError(
-                "both",
-                "give the values of a certificate or a passport, not both: the solve uses one of them.",
+            raise ValueError(
+                "give the values of a certificate or a passport, not both: the solve uses one of them."
             )
         return self
 
@@ -156,7 +150,7 @@ class CollimatorConfig(StrictModel):
 def _has_direction(normal: tuple[float, float, float]) -> tuple[float, float, float]:
     """Refuse a vector without a direction."""
     if not 1e-6 < math.hypot(*normal) < 1e6:
-        raise PydanticCustomError("no_direction", "has no direction: give a vector such as [0, 0, 1].")
+        raise ValueError("has no direction: give a vector such as [0, 0, 1].")
     return normal
 
 
@@ -191,7 +185,7 @@ class GimbalConfig(StrictModel):
 def _not_blank(text: str) -> str:
     """Refuse a text of spaces."""
     if not text.strip():
-        raise PydanticCustomError("blank", "must not be empty.")
+        raise ValueError("must not be empty.")
     return text
 
 
@@ -215,10 +209,7 @@ class _StatedConfig(StrictModel):
     @model_validator(mode="after")
     def _k_of_a_normal_distribution(self) -> _StatedConfig:
         if self.k != 1 and self.distribution != "normal":
-            raise PydanticCustomError(
-                "k_without_normal",
-                "k applies to a normal distribution only; a half width needs no k.",
-            )
+            raise ValueError("k applies to a normal distribution only; a half width needs no k.")
         return self
 
     def stated(self, name: str, kind: TermKind, value: float, **more: float) -> TypeBTerm:

@@ -15,7 +15,7 @@ from jinja2 import Template
 
 from bench.stations.asked_devices import NAMED_BY_MAKER, AskedLight, AskedStage
 from bench.stations.discovery import DRAFT, Discovery
-from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SOURCE
+from bench.stations.placeholders import Unknown
 
 CAMERAS = ("metavision", "neuromorphic_evk4", "opencv", "recorded", "pictures")
 """Drivers of cameras; of those connected, the first of them is drafted."""
@@ -65,7 +65,7 @@ def draft_station(
     """
     asked_stage, asked_light = asked
     taken = {*(asked_stage.ports if asked_stage else ()), *([asked_light.port] if asked_light else [])}
-    ports = iter([*(port for port in free_ports(discovery) if port not in taken), UNKNOWN_PORT, UNKNOWN_PORT])
+    ports = iter([*(port for port in free_ports(discovery) if port not in taken), Unknown.PORT, Unknown.PORT])
     stage_port = asked_stage.port if asked_stage else next(ports)
     light_port = asked_light.port if asked_light else next(ports)
     usable = [
@@ -84,7 +84,7 @@ def draft_station(
         asked_light=asked_light,
         camera=camera or (first.driver if first else CAMERAS[0]),
         serial=first.serial if first else "",
-        source=first.source if first else UNKNOWN_SOURCE,
+        source=first.source if first else Unknown.SOURCE,
         stand_ins=stand_ins,
         certified=certified,
         simulation=json.dumps(stand_ins.simulation) if stand_ins else "",

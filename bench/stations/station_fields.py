@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 from calib.errors import InputMismatch
 from calib.target import StarTarget
@@ -77,28 +76,24 @@ def _simulated_or_real(port: str, info: ValidationInfo) -> str:
         return port
     if port not in SIMULATED_PORTS:
         known = ", ".join(SIMULATED_PORTS)
-        raise PydanticCustomError(
-            "no_such_simulated_port", "no such simulated device; known: {known}.", {"known": known}
-        )
+        raise ValueError(f"no such simulated device; known: {known}.")
     document = (info.context or {}).get("document", {})
     if "simulation" not in document:
-        raise PydanticCustomError(
-            "no_simulation", "a simulated device needs a simulation section (simulation: {} is enough)."
-        )
+        raise ValueError("a simulated device needs a simulation section (simulation: {} is enough).")
     return port
 
 
 def _not_another_url(port: str) -> str:
     """Accept the kinds of URL that reach a device; others write files or search for a device."""
     if not port.startswith(SIMULATED_PREFIX) and (refused := refused_port(port)) is not None:
-        raise PydanticCustomError("kind_of_url", "{refused}", {"refused": f"{refused} {PORT_REMEDY}"})
+        raise ValueError(f"{refused} {PORT_REMEDY}")
     return port
 
 
 def _not_another_protocol(source: str) -> str:
     """Accept the kinds of video source that reach a camera or a video file."""
     if not source.startswith(SIMULATED_PREFIX) and (refused := refused_source(source)) is not None:
-        raise PydanticCustomError("kind_of_url", "{refused}", {"refused": f"{refused} {SOURCE_REMEDY}"})
+        raise ValueError(f"{refused} {SOURCE_REMEDY}")
     return source
 
 
@@ -133,9 +128,7 @@ class CameraTemperatureConfig(InterlockConfig):
     @model_validator(mode="after")
     def _cooler(self) -> CameraTemperatureConfig:
         if self.release_c >= self.max_c:
-            raise PydanticCustomError(
-                "release", "release_c must be below max_c; otherwise the hold would switch on and off."
-            )
+            raise ValueError("release_c must be below max_c; otherwise the hold would switch on and off.")
         return self
 
 
@@ -150,9 +143,8 @@ class EventRateConfig(InterlockConfig):
     @model_validator(mode="after")
     def _lower(self) -> EventRateConfig:
         if self.release_mev_s >= self.max_mev_s:
-            raise PydanticCustomError(
-                "release",
-                "release_mev_s must be below max_mev_s; otherwise the hold would switch on and off.",
+            raise ValueError(
+                "release_mev_s must be below max_mev_s; otherwise the hold would switch on and off."
             )
         return self
 
@@ -166,7 +158,7 @@ class DiskSpaceConfig(InterlockConfig):
     @model_validator(mode="after")
     def _more(self) -> DiskSpaceConfig:
         if self.release_gb < self.min_free_gb:
-            raise PydanticCustomError("release", "release_gb must not be below min_free_gb.")
+            raise ValueError("release_gb must not be below min_free_gb.")
         return self
 
 
@@ -223,13 +215,12 @@ class TargetConfig(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _no_sentence(cls, value: Any) -> Any:
-        if isinstance(value, str):
-            raise PydanticCustomError(
-                "sentence",
-                "a sentence does not describe the pattern. Write it as a key of its own,"
-                " target: {description: ...}, beside squares, pitch_mm and the tag.",
-            )
-        return value
+        if not isinstance(value, str):
+            return value
+        raise ValueError(
+            "a sentence does not describe the pattern. Write it as a key of its own,"
+            " target: {description: ...}, beside squares, pitch_mm and the tag."
+        )
 
     @field_validator("tag_family", mode="before")
     @classmethod
@@ -244,18 +235,13 @@ class TargetConfig(StrictModel):
         try:
             pattern = self.pattern()
         except InputMismatch as error:
-            raise PydanticCustomError(
-                "not_printable", "{what}", {"what": f"no such target can be printed: {error.what}"}
-            ) from None
-        for given, needed in zip(self.drawing.size_mm or (), self._pattern_mm(pattern), strict=False):
-            if given < needed:
-                raise PydanticCustomError(
-                    "too_small",
-                    "the pattern does not fit: drawing.size_mm must be at least [{width}, {height}].",
-                    dict(
-                        zip(("width", "height"), (f"{n:.6g}" for n in self._pattern_mm(pattern)), strict=True)
-                    ),
-                )
+            raise ValueError(f"no such target can be printed: {error.what}") from None
+        least = self._pattern_mm(pattern)
+        if any(given < needed for given, needed in zip(self.drawing.size_mm or least, least, strict=True)):
+            raise ValueError(
+                "the pattern does not fit: drawing.size_mm must be at least"
+                f" [{', '.join(f'{side:.6g}' for side in least)}]."
+            )
         return self
 
     @staticmethod

@@ -7,8 +7,7 @@ numbers; limits of warnings were measured on simulated images (docs/target.md).
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,10 +52,6 @@ class TargetUse:
     target_deg: tuple[float, float, float, float]
     beam_deg: float | None  # Full angle of the beam; None if it is unknown
     warnings: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers and texts."""
-        return asdict(self)
 
 
 def optics_of(station: Station) -> Optics:
@@ -107,7 +102,7 @@ def use_of(target: TargetConfig, optics: Optics) -> TargetUse:
         beam_deg=None if optics.half_angle_deg is None else 2.0 * optics.half_angle_deg,
         warnings=(),
     )
-    return TargetUse(**{**use.to_dict(), "warnings": tuple(_warnings(use, pattern, optics))})
+    return replace(use, warnings=tuple(_warnings(use, pattern, optics)))
 
 
 def _full_deg(pixels: int, optics: Optics) -> float:

@@ -7,7 +7,6 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from bench.stations.described_exchanges import (
     ADDRESS,
@@ -20,7 +19,6 @@ from bench.stations.described_exchanges import (
     RequestText,
     axes_told,
     check_has,
-    parsed,
     parsed_line,
     parsed_reply,
     parsed_request,
@@ -73,7 +71,7 @@ class StateQuery(Query):
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> StateQuery:
-        read = parsed(self.reply, ADDRESS | {"request"}, None)
+        read = of.parse_template(self.reply, known=ADDRESS | {"request"}, readable=None)
         kinds = {
             part.kind
             for part in read.parts
@@ -81,9 +79,9 @@ class StateQuery(Query):
         }
         is_number = bool(kinds & {"integer", "number", "size", "hex", "signed_hex"})
         if is_number and not all(map(is_plain_number, self.when)):
-            raise PydanticCustomError("when_number", "when must list numbers, as the reply has one.")
+            raise ValueError("when must list numbers, as the reply has one.")
         if self.bits and (not is_number or "number" in kinds):
-            raise PydanticCustomError("bits_of_word", "bits needs a state that is a whole number.")
+            raise ValueError("bits needs a state that is a whole number.")
         return self
 
     def for_driver(self) -> of.Switch:
@@ -198,7 +196,7 @@ class _SettingConfig(StrictModel):
     @model_validator(mode="after")
     def _has_value(self) -> Self:
         if (self.quantity == "constant") != (self.value is not None):
-            raise PydanticCustomError("constant_value", "a constant needs value; no other setting has one.")
+            raise ValueError("a constant needs value; no other setting has one.")
         if self.value is None:
             check_has(parsed_request(self.set.send, self.set.known, "value"), "value", "belongs")
         return self
@@ -237,15 +235,15 @@ class LightSettingConfig(_SettingConfig):
         known = _WORDS.get(self.quantity, set())
         if bool(known) != bool(self.words) or not set(self.words) <= known:
             named = ", ".join(sorted(known)) or "none"
-            raise PydanticCustomError("words", "words of this setting: {named}.", {"named": named})
+            raise ValueError(f"words of this setting: {named}.")
         if not re.search(r"\{value:(word|text)\}", self.query.reply) and not all(
             map(_NUMERIC.fullmatch, self.words.values())
         ):
-            raise PydanticCustomError("word_number", "words must be numbers, as the reply has one.")
+            raise ValueError("words must be numbers, as the reply has one.")
         if len(set(self.words.values())) < len(self.words):
-            raise PydanticCustomError("same_words", "two words are the same for the device.")
+            raise ValueError("two words are the same for the device.")
         if self.range is not None and self.range[0] >= self.range[1]:
-            raise PydanticCustomError("range_order", "range must be [lowest, highest].")
+            raise ValueError("range must be [lowest, highest].")
         return self
 
     def for_driver(self) -> of.LightSetting:
@@ -278,9 +276,9 @@ class LightProtocol(Described):
         missing = {"frequency_hz", "level_percent"} - set(names)
         if missing:
             listed = " and ".join(sorted(missing))
-            raise PydanticCustomError("settings_missing", "settings needs {listed}.", {"listed": listed})
+            raise ValueError(f"settings needs {listed}.")
         if len(names) > len(set(names)):
-            raise PydanticCustomError("settings_twice", "a quantity stands twice in settings.")
+            raise ValueError("a quantity stands twice in settings.")
         return self
 
     @property
@@ -319,7 +317,7 @@ class _Motion(_AxisCommand):
     @model_validator(mode="after")
     def _has_late_reply(self) -> Self:
         if self.reply_comes == "at_end" and self.reply is None:
-            raise PydanticCustomError("no_late_reply", "reply_comes: at_end needs reply.")
+            raise ValueError("reply_comes: at_end needs reply.")
         return self
 
 

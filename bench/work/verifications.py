@@ -20,6 +20,8 @@ from bench.evidence.verify import verify_folder
 from bench.work.kept_rows import content_hash, require_program_of
 
 VERIFIED = "verified.jsonl"
+DERIVED_KINDS = frozenset({"run", "results"})
+"""Kinds of folders whose files can be derived again."""
 
 
 @dataclass(frozen=True)
@@ -54,16 +56,15 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         return Findings(faults, *([*derived[name]] for name in ("not_compared", "not_confirmed", "remarks")))
 
     kind = folder_kind(folder)
+    derivations: list[Derivation] = [derive] if kind.name in DERIVED_KINDS else []
+    if kind.checks(None):
+        derivations = [lambda _folder: Findings()]  # this bench makes them
     verification = verify_folder(
         folder,
         check.trust,
         at=check.at,
         camera_serial=check.camera_serial,
-        derivations={
-            **({kind.name: [lambda _folder: Findings()]} if kind.checks(None) else {}),
-            "run": [derive],
-            "results": [derive],
-        },
+        derivations=derivations,
         again=check.again,
     )
     row = rows[0] if rows else None

@@ -3,33 +3,25 @@
 import re
 from collections import defaultdict
 
-from bench.stations.placeholders import (
-    UNKNOWN_ADDRESS,
-    UNKNOWN_BOARD,
-    UNKNOWN_LABORATORY,
-    UNKNOWN_NUMBER,
-    UNKNOWN_PORT,
-    UNKNOWN_SERIAL,
-    UNKNOWN_SOURCE,
-)
+from bench.stations.placeholders import Unknown
 from bench.stations.station import SHIPPED_STATIONS
 
 _TEXTS = {
-    UNKNOWN_PORT: "/dev/serial/by-id/usb-Maker_Adapter_{}-if00-port0",
-    UNKNOWN_ADDRESS: "socket://192.168.7.20:5025",
-    UNKNOWN_SOURCE: "/dev/v4l/by-id/usb-Maker_{}",
-    UNKNOWN_BOARD: "turntable-{}",
-    UNKNOWN_SERIAL: "10000{}",
-    UNKNOWN_LABORATORY: "Camera laboratory",
+    Unknown.PORT: "/dev/serial/by-id/usb-Maker_Adapter_{}-if00-port0",
+    Unknown.ADDRESS: "socket://192.168.7.20:5025",
+    Unknown.SOURCE: "/dev/v4l/by-id/usb-Maker_{}",
+    Unknown.BOARD: "turntable-{}",
+    Unknown.SERIAL: "10000{}",
+    Unknown.LABORATORY: "Camera laboratory",
 }
 
 
 def filled(text: str) -> str:
     """Return a station file with a value in place of every placeholder."""
     numbers = defaultdict(lambda: "6400", high_v="2.5")
-    text = re.sub(rf"(\w+): {UNKNOWN_NUMBER}", lambda key: f"{key[1]}: {numbers[key[1]]}", text)
+    text = re.sub(rf"(\w+): {Unknown.NUMBER}", lambda key: f"{key[1]}: {numbers[key[1]]}", text)
     metavision = "driver: metavision\n  serial: "
-    text = text.replace(metavision + UNKNOWN_SERIAL, metavision + "00051234")
+    text = text.replace(metavision + Unknown.SERIAL, metavision + "00051234")
     count = 0
 
     def next_value(match: re.Match[str]) -> str:

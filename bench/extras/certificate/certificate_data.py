@@ -391,6 +391,8 @@ def _fault(error_details: ErrorDetails) -> str:
     if kind == "literal_error":
         wanted = str(more["expected"]).replace("'", "").replace(" or ", ", ")
         return f"{path} must be one of {wanted}"
+    if kind == "value_error":
+        return f"{path} {more['error']}".removesuffix(".")
     if kind in _FORMS:
         return f"{path} must be {_FORMS[kind]}"
     return f"{path} {MESSAGES.get(kind, error_details['msg']).format(**more)}".removesuffix(".")

@@ -23,7 +23,6 @@ from pydantic import (
     WrapValidator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from bench.extras.certificate.series import is_number_format
 from bench.stations.station_budget import Date
@@ -54,11 +53,11 @@ PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranc
 def _plain(text: str) -> str:
     """Refuse blank texts and characters that cannot be printed."""
     if not text.strip():
-        raise PydanticCustomError("blank", "must not be empty.")
+        raise ValueError("must not be empty.")
     if PLACEHOLDER in text:
-        raise PydanticCustomError("placeholder", "replace this placeholder by your own value.")
+        raise ValueError("replace this placeholder by your own value.")
     if any(not char.isprintable() and char != "\n" for char in text) or re.search("[\ud800-\udfff]", text):
-        raise PydanticCustomError("unprintable", "must contain no control characters.")
+        raise ValueError("must contain no control characters.")
     return text.strip()
 
 
@@ -136,7 +135,7 @@ class Contact(StrictModel):
     @model_validator(mode="after")
     def _reachable(self) -> Contact:
         if not (self.email or self.phone):
-            raise PydanticCustomError("unreachable", "needs email or phone.")
+            raise ValueError("needs email or phone.")
         return self
 
 
@@ -179,10 +178,9 @@ class NumbersConfig(StrictModel):
     @model_validator(mode="after")
     def _is_a_series(self) -> NumbersConfig:
         if not is_number_format(self.format):
-            raise PydanticCustomError(
-                "no_series",
-                "format must contain {what} once and otherwise letters, digits, '-', '_', '.', '/', {year} and {head}.",
-                {"what": "{number:05d}", "year": "{year}", "head": "{head}"},
+            raise ValueError(
+                "format must contain {number:05d} once and otherwise letters, digits, '-', '_', '.', '/', {year} and"
+                " {head}."
             )
         return self
 
@@ -251,9 +249,9 @@ class ConditionConfig(StrictModel):
     @model_validator(mode="after")
     def _value_or_text(self) -> ConditionConfig:
         if (self.value is None) == (not self.text):
-            raise PydanticCustomError("value_or_text", "needs either value or text.")
+            raise ValueError("needs either value or text.")
         if self.value is not None and not (self.unit and self.instrument):
-            raise PydanticCustomError("value_alone", "a value needs unit and instrument.")
+            raise ValueError("a value needs unit and instrument.")
         return self
 
 
@@ -298,7 +296,7 @@ class SourceConfig(StrictModel):
     @model_validator(mode="after")
     def _names_something(self) -> SourceConfig:
         if self.row is None and self.what is None:
-            raise PydanticCustomError("nameless", "needs row, what, or both.")
+            raise ValueError("needs row, what, or both.")
         return self
 
 
@@ -357,10 +355,9 @@ class LabConfig(StrictModel):
     @model_validator(mode="after")
     def _interval_was_agreed(self) -> LabConfig:
         if self.recalibration is not None and not self.recalibration.startswith("agreed with the customer"):
-            raise PydanticCustomError(
-                "not_agreed",
+            raise ValueError(
                 "recalibration is printed only if it was agreed: begin it with 'agreed with the customer'"
-                " (ISO/IEC 17025, 7.8.4.3), or leave it out.",
+                " (ISO/IEC 17025, 7.8.4.3), or leave it out."
             )
         return self
 

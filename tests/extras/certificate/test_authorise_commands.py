@@ -68,9 +68,7 @@ def authorised(run, home, ada, monkeypatch):
     """The run, authorised by Ada and entered in the ledger of the bench; and the path of her key."""
     from bench.commands import verify as verify_command
 
-    monkeypatch.setattr(
-        verify_command, "derivations", lambda *_, **__: {"run": [verify_command.check_authorisation]}
-    )
+    monkeypatch.setattr(verify_command, "derivations", lambda *_, **__: [verify_command.check_authorisation])
     Ledger(home, utc_now=lambda: datetime(2026, 3, 1, tzinfo=UTC), monotonic=lambda: 0.0).append("begun")
     shown = json.loads(call("certificate", "authorise", run, "--key", ada, "--json", "--yes"))
     assert shown["in_ledger"] is True

@@ -39,7 +39,7 @@ def forger(results_once, tmp_path, key):
 
 def checked(folder, signers, *, again=True):
     checks = [check_recalculated] if again else []
-    return verify_folder(folder, signers, derivations={"results": checks}, again=again)
+    return verify_folder(folder, signers, derivations=checks, again=again)
 
 
 def test_the_numbers_of_untouched_results_are_calculated_again_from_their_sources(results_once, signers):

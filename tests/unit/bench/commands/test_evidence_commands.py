@@ -26,7 +26,7 @@ def home(tmp_path, monkeypatch):
     monkeypatch.setenv("STARBENCH_HOME", str(folder))
     for name in ("SSH_AUTH_SOCK", "STARBENCH_PASSPHRASE"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("bench.commands.verify.derivations", lambda *_, **__: {})
+    monkeypatch.setattr("bench.commands.verify.derivations", lambda *_, **__: [])
     return folder
 
 

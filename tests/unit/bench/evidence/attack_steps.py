@@ -23,7 +23,7 @@ ADDR_X = 2
 def checked(folder, trusted, *, again=True):
     """What `verify --again` finds without a ledger, or plain `verify`."""
     checks = [check_verdict, *([check_run_again] if again else [])]
-    return verify_folder(folder, trusted, derivations={"run": checks}, again=again)
+    return verify_folder(folder, trusted, derivations=checks, again=again)
 
 
 def edit(name, old, new):

@@ -175,7 +175,7 @@ def test_a_sealed_file_that_no_run_folder_has_is_named(make_run, key, signers, t
 def test_of_a_folder_of_another_kind_only_the_seal_is_verified_and_that_is_told(tmp_path, key, signers):
     (tmp_path / "passport.txt").write_text("R 255 mm")
     seal_folder(tmp_path, key)
-    verification = verify_folder(tmp_path, signers, derivations={})
+    verification = verify_folder(tmp_path, signers, derivations=[])
     assert (verification.kind, verification.ok, verification.complete) == ("files", True, False)
     assert verify_folder(tmp_path, signers).complete  # nothing was to be derived
 

@@ -1,6 +1,6 @@
 """What is connected, and the station file drafted from it."""
 
-import contextlib
+import io
 import re
 import sys
 import types
@@ -17,7 +17,7 @@ from bench.simulated import SimulatedBench
 from bench.stations import discovery
 from bench.stations.asked_devices import ask_light, ask_stage, dialect_of
 from bench.stations.discovery import Discovery, FoundPort, discover
-from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL
+from bench.stations.placeholders import Unknown
 from bench.stations.practice import draft_stand_ins
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.stations.station_draft import draft_station, ports_to_ask
@@ -70,7 +70,7 @@ def test_a_draft_reads_without_a_fault_and_names_what_is_connected(written, stag
     discovery = Discovery(ports, (FoundCamera("neuromorphic_evk4", "00051", "EVK4"),) if ports else (), ())
     station = written(draft_station(discovery, stage=stage, light=light))
     assert (station.stage.driver, station.light.driver) == (stage, light)
-    assert station.camera.serial == ("00051" if ports else UNKNOWN_SERIAL)
+    assert station.camera.serial == ("00051" if ports else Unknown.SERIAL)
     if ports:
         assert station.stage.ports[0] == "/dev/serial/by-id/zaber"
         assert station.light.port == "/dev/ttyACM1"
@@ -83,13 +83,13 @@ TROUBLED = FoundCamera("metavision", "00051", "EVK4", trouble="access denied")
 @pytest.mark.parametrize(
     ("cameras", "family", "driver", "named"),
     [
-        ((), None, "metavision", UNKNOWN_SERIAL),
+        ((), None, "metavision", Unknown.SERIAL),
         ((WEBCAM,), None, "opencv", "8A0A3C5F"),
         ((WEBCAM, FoundCamera("neuromorphic_evk4", "00051", "EVK4")), None, "neuromorphic_evk4", "00051"),
         ((WEBCAM, TROUBLED), None, "opencv", "8A0A3C5F"),
         ((), "opencv", "opencv", ""),
-        ((WEBCAM,), "metavision", "metavision", UNKNOWN_SERIAL),
-        ((), "recorded", "recorded", UNKNOWN_SERIAL),
+        ((WEBCAM,), "metavision", "metavision", Unknown.SERIAL),
+        ((), "recorded", "recorded", Unknown.SERIAL),
         ((), "pictures", "pictures", ""),
     ],
 )
@@ -116,7 +116,7 @@ def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage
     path.write_text(draft_station(NOTHING, stage=stage, light=light))
     faults = [str(fault) for fault in make_plan(*load_documents("turntable", str(path))).faults]
     assert len(faults) == len(re.findall("ASK-THE|CHOOSE-A|NAME-THE|YOUR-LAB", path.read_text()))
-    row = next(n for n, line in enumerate(path.read_text().splitlines(), 1) if UNKNOWN_PORT in line)
+    row = next(n for n, line in enumerate(path.read_text().splitlines(), 1) if Unknown.PORT in line)
     place = "stage.axes.pan.port" if stage in {"ximc", "thorlabs_apt"} else "stage.port"
     assert any(fault.startswith(f"{path}:{row}:") and f" {place}: " in fault for fault in faults)
     path.write_text(filled(path.read_text()))
@@ -224,11 +224,12 @@ def test_a_board_is_asked_for_scales_and_travel(others):
 def test_a_board_is_asked_only_if_the_operator_agrees(capsys, tmp_path, monkeypatch, agrees):
     """Otherwise no port is opened, not even to look for the light."""
     opened = []
-    monkeypatch.setattr("bench.stations.asked_devices.SerialPort", lambda port, **_: opened.append(port))
+    monkeypatch.setattr(
+        "bench.stations.asked_devices.SerialPort", lambda port, **_: opened.append(port) or io.BytesIO()
+    )
     monkeypatch.setattr("bench.commands.station.may_restart", lambda _: agrees)
     monkeypatch.setattr("bench.stations.asked_devices.GrblController", refused_link)
     monkeypatch.setattr("bench.stations.asked_devices.ScpiLine", refused_link)
-    monkeypatch.setattr("bench.stations.asked_devices.closed_on_error", lambda _: contextlib.nullcontext())
     call(capsys, "station", "new", tmp_path / "a.yaml", "--stage", "grbl", "--port", "/dev/board")
     assert opened == (["/dev/board", "/dev/board"] if agrees else [])
 
