@@ -29,20 +29,12 @@ TRACEBACK_STATUS = 3
 _SOURCE = Path(__file__).with_name("failing_disk.c")
 
 
-def build_library(folder):
-    """Compile the library that is to be preloaded; None where there is no compiler."""
-    if sys.platform != "linux" or shutil.which("cc") is None:
-        return None
-    library = folder / "failing_disk.so"
-    subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", library, _SOURCE, "-ldl"], check=True)
-    return library
-
-
 def try_in_process(program, folder, steps):
     """Let calls of works fail, in a process of a program that has the library; return how many did, and its end."""
-    library = build_library(folder)
-    if library is None:
+    if sys.platform != "linux" or shutil.which("cc") is None:
         pytest.skip("needs Linux and a C compiler")
+    library = folder / "failing_disk.so"
+    subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", library, _SOURCE, "-ldl"], check=True)
     here = os.pathsep.join([str(_SOURCE.parent), *sys.path])
     ended = subprocess.run(
         [sys.executable, program, folder, json.dumps(steps)],

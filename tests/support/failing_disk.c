@@ -1,7 +1,6 @@
 /* Lets calls of libc that change files below a folder fail, or kill the process; to be preloaded.
  *
- * By fail_call: the n-th call. By the environment: calls of FAILING_KIND (write or sync) below FAILING_FOLDER with
- * FAILING_PROBABILITY, drawn from FAILING_SEED, by EIO. Of a write that fails for want of room, half reaches the disk.
+ * By fail_call: the n-th call. Of a write that fails for want of room, half reaches the disk.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -24,19 +23,10 @@ static struct shared { /* by this process and those that it forks */
 static char folder[4096];
 static long failing; /* number of the call, from 1 on; 0 none */
 static int failure;  /* errno; 0 kills */
-static const char *kind = "";
-static double probability;
 
 __attribute__((constructor)) static void begin(void)
 {
     shared = mmap(NULL, sizeof *shared, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-    if (getenv("FAILING_FOLDER")) {
-        snprintf(folder, sizeof folder, "%s", getenv("FAILING_FOLDER"));
-        kind = getenv("FAILING_KIND");
-        probability = atof(getenv("FAILING_PROBABILITY"));
-        srand48(atol(getenv("FAILING_SEED")));
-        failure = EIO;
-    }
 }
 
 void fail_call(const char *below, long n, int number)
@@ -57,8 +47,7 @@ static int fails_at(const char *what, const char *path)
     if (n == 0 || strncmp(path, folder, n) != 0)
         return 0;
     long call = atomic_fetch_add(&shared->calls, 1) + 1;
-    int drawn = strstr(what, kind) && probability > 0 && drand48() < probability;
-    if (call != failing && !drawn)
+    if (call != failing)
         return 0;
     snprintf(shared->failed, sizeof shared->failed, "%s %s", what, path);
     if (failure == 0)
