@@ -5,7 +5,7 @@ raises or reports (that drivers raise it is shown with the simulated devices, by
 the first recording is refused, an operator holds it, then it waits, solves and reports: so every state is passed.
 After a run that did not finish, the cause is removed and it is resumed: it must end with every pose recorded once.
 
-    python tests/support/fault_matrix.py > docs/faults.md
+    python tests/support/fault_matrix.py    # writes the table of docs/faults.md
 """
 
 import sys
@@ -41,6 +41,7 @@ STATES = (
     "reporting",
     "aborting",
 )
+DOCUMENT = Path(__file__).parents[2] / "docs" / "faults.md"
 END = "  - wait: {duration_s: 1}\n  - solve: {model: spherical, distortion: [k1]}\n  - report\n"
 ORDERED_GAP = "a gap that belongs to every run here"
 """Why the first recording is refused; it tells of no fault."""
@@ -225,40 +226,19 @@ def matrix(folder: Path):
                 yield fault, state, strike(fault, state, place, patch)
 
 
-HEAD = """\
-# Faults, and how the run ends after each one
-
-<!-- Made by a program: python tests/support/fault_matrix.py > docs/faults.md -->
-
-Each column names the states of the run in which the fault leads to this end. In other states it cannot occur.
-
-| end | meaning |
-| --- | --- |
-| fails safely | the run reported the fault, the light was off, and nothing moved |
-| finishes | every pose was recorded, and the run reported the fault |
-| aborts safely | the run ended on request, although the fault occurred |
-| ends at once | the process was killed |
-
-Each run that did not finish was resumed, and ended with each pose recorded once and every recording of the journal on the disk. Measured with
-virtual devices on a virtual clock.
-
-A motor that is blocked, a pulled cable or an open lamp is in the journal after 0.0 to 3.3 s, and in a message soon after; a silent
-device takes 3.2 to 14.1 s, because it is asked several times ([measured](measured/faults.md#from-a-fault-to-a-message)). A process that
-hangs ends [as supervision says](batches.md#supervision).
-"""
 ENDS = {"failed": "fails safely", "finished": "finishes", "aborted": "aborts safely", "died": "ends at once"}
 
 
 def text(cells):
-    """The matrix as a document."""
+    """The document with this matrix as its table."""
     rows: dict[str, dict[str, list[str]]] = {}
     for fault, state, cell in cells:
         row = rows.setdefault(fault.name, {end: [] for end in ENDS})
         if cell.end:
             row[cell.end].append(state)
-    lines = [HEAD, "| fault | " + " | ".join(ENDS.values()) + " |", "| --- " * (len(ENDS) + 1) + "|"]
+    lines = ["| fault | " + " | ".join(ENDS.values()) + " |", "| --- " * (len(ENDS) + 1) + "|"]
     lines += [f"| {name} | " + " | ".join(map(_named, row.values())) + " |" for name, row in rows.items()]
-    return "\n".join(lines) + "\n"
+    return DOCUMENT.read_text().partition("| fault |")[0] + "\n".join(lines) + "\n"
 
 
 def _named(states):
@@ -271,4 +251,4 @@ if __name__ == "__main__":
         for fault, state, cell in rows:
             if cell.wrong:
                 print(f"{fault.name} in {state}: {'; '.join(cell.wrong)}", file=sys.stderr)
-        print(text(rows), end="")
+        DOCUMENT.write_text(text(rows))
