@@ -62,10 +62,6 @@ def with_u(results, name, share):
     return changed(results, "camera", name, share * k)
 
 
-def test_what_is_the_same_has_no_fault(stored):
-    assert compared(stored, copy.deepcopy(stored))[0] == []
-
-
 @pytest.mark.parametrize("made_by", ["stored", "by_another", "of_another_engine"])
 def test_a_value_within_a_tenth_of_its_u_is_confirmed_whatever_version_made_it(request, made_by):
     results = request.getfixturevalue(made_by)
@@ -115,10 +111,7 @@ def test_a_covariance_is_compared_in_units_of_its_sigmas(stored):
         (("calibration", "rms_px"), 0.2),
         (("calibration", "camera", "fx"), float("nan")),
         (("calibration", "notes"), []),
-        (("calibration", "degrees_of_freedom"), 7),
         (("poses", 0, "stars"), 1),
-        (("poses", 0, "measured_deg", "pan"), 0.001),
-        (("run", "simulated"), False),
         (("devices", "camera", "serial"), "00050999"),
     ],
 )
@@ -128,12 +121,6 @@ def test_every_other_value_is_compared_too(stored, path, value):
     faults = compared(stored, again)[0]
     assert faults
     assert all(str(path[-2] if isinstance(path[-1], int) else path[-1]) in fault for fault in faults)
-
-
-def test_names_and_counts_of_another_program_are_faults_if_the_engine_is_the_same(by_another):
-    again = copy.deepcopy(by_another)
-    again["devices"]["camera"]["serial"] = "00050999"
-    assert compared(by_another, again)[0]
 
 
 def test_a_part_that_follows_from_nothing_or_was_removed_is_told(stored):

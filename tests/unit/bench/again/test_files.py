@@ -97,10 +97,7 @@ def test_the_same_tree_is_confirmed(folder, made):
     [
         (">3346.4", ">3346.41"),
         ("</style>", "b{display:none}</style>"),
-        ("<main>", "<main hidden>"),
         ("<main>", "<main><!-- 1 -->"),
-        ("</text>", "9</text>"),
-        ("<svg class", '<svg style="opacity:0" class'),
         ('href="data:image/png;base64,', 'href="data:image/png;base64,A'),
         (HEAD, "0" * 64),
     ],
@@ -140,13 +137,6 @@ def test_a_missing_and_an_added_export_are_faults(folder, made):
         ("exports", "exports/opencv.yaml"),
         ("exports", "exports/more.yaml"),
     }
-
-
-def test_views_that_hold_more_than_their_content_are_a_fault(folder, made):
-    with (folder / "views.h5").open("ab") as file:
-        file.write(b"x")
-    (fault,) = compared(folder, made).faults
-    assert fault.kind == "views"
 
 
 @pytest.mark.parametrize(("sigmas", "is_told"), [(0.15, False), (0.25, True)])

