@@ -72,8 +72,3 @@ def test_formulas_are_drawn_by_the_browser(conf):
 def test_decisions_and_measured_tables_are_left_out_of_the_search(conf):
     assert as_site(conf, "decisions/0002-dependencies").startswith("---\nnosearch: true\n---\n")
     assert not as_site(conf, "boards").startswith("---")
-
-
-def test_the_front_page_has_three_doors():
-    text = (DOCS / "README.md").read_text(encoding="utf-8")
-    assert len(re.findall(r"^\*\*I .+?\.\*\*", text, re.MULTILINE)) == 3

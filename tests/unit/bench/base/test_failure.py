@@ -2,7 +2,6 @@
 
 import inspect
 import json
-import re
 from dataclasses import replace
 
 import pytest
@@ -104,14 +103,6 @@ def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, ca
     assert "no complete reply" in answer["devices"][1]["said"]
     assert answer["unsafe"] == [answer["devices"][1]["said"]]
     assert line_text(read_journal(scene.folder / "journal.jsonl")[0][-1]).endswith("light may be on.")
-
-
-def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
-    end = RunEnd("failed", "the port is missing", tmp_path, None)
-    assert show_run(end) == 1
-    errors = capsys.readouterr().err
-    assert "Look at the bench" in errors
-    assert not re.search("moved nothing|may be moving", errors)
 
 
 def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_each_confirmed(

@@ -19,9 +19,8 @@ from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.batch.batch_summary import read_batch, summarise
 from bench.batch.supervisor import WorkerEnd
 from bench.record.events import Event
-from bench.record.journal import Journal, read_journal
+from bench.record.journal import Journal
 from bench.report.batch_page import render_batch
-from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 
@@ -63,13 +62,6 @@ def cut_off(folder, jobs, *ends):
         night(folder, jobs, *ends, KeyboardInterrupt())[0].run()
 
 
-def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", times: 3, every_min: 60"), ("b", "")))
-    batch.run()
-    assert begun(workers) == ["run a-001", "run b-001", "run a-002", "run a-003"]
-    assert [round(at_s) for _, _, at_s in workers.begun] == [0, 600, 3600, 7200]
-
-
 def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path):
     jobs = queue(("a", ", settings: {station.camera.biases.bias_diff_on: 20, sequence.name: 'x, y'}"))
     (item,) = items_of(jobs.value.jobs, NightClock().utc_now())
@@ -84,18 +76,6 @@ def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path
     path.write_bytes(jobs.text.replace(b"station.camera", b"camera"))
     with pytest.raises(ScriptError, match="settings"):
         read_queue(path)
-
-
-def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
-    jobs = queue(("a", ""), ("b", ""), ("c", ""))
-    cut_off(tmp_path, jobs, "finished")
-    batch, workers = night(tmp_path, jobs)
-    summary = batch.run()
-    assert begun(workers) == ["resume b-001", "run c-001"]
-    assert summary["how"] == "finished"
-    assert [item["attempts"] for item in summary["items"]] == [1, 2, 1]
-    ended = [e.data["item"] for e in read_journal(tmp_path / "journal.jsonl")[0] if e.event == "item_ended"]
-    assert ended == ["a-001", "b-001", "c-001"]
 
 
 @pytest.mark.parametrize(
@@ -120,12 +100,6 @@ def test_a_run_that_was_cut_off_is_done_if_sealed_and_failed_if_unreadable(
     assert begun(workers) == runs
     assert (first == "failed") == ("journal" in summary["items"][0]["why"])
     assert died == any("died" in line for line in said)
-
-
-def test_no_run_is_begun_after_the_time_is_over(tmp_path):
-    batch, workers = night(tmp_path, queue(("a", ", times: 100"), top="stop_after_h: 1\n"))
-    assert batch.run()["how"] == "stopped"
-    assert len(workers.begun) == 7
 
 
 def test_what_was_cut_off_before_it_began_is_kept_aside_and_begun_anew(tmp_path):
@@ -162,11 +136,11 @@ def test_the_queue_in_the_documents_is_one_and_names_every_key():
 
 def test_a_queue_is_checked_with_all_it_names_before_anything_runs(tmp_path):
     path = tmp_path / "queue.yaml"
-    text = "format: starbench/queue/1\nname: Night\njobs:\n" + JOB.format("a", "") + JOB.format("a", "")
+    text = "format: starbench/queue/1\nname: Night\njobs:\n" + JOB.format("a", "") + JOB.format("A", "")
     path.write_text(text)
-    with pytest.raises(ScriptError, match="same name: a"):
+    with pytest.raises(ScriptError, match="same name: A, a"):
         read_queue(path)
-    path.write_text(text.replace("name: a, sequence: three_pose", "name: b, sequence: four_pose", 1))
+    path.write_text(text.replace("name: A, sequence: three_pose", "name: b, sequence: four_pose", 1))
     with pytest.raises(ScriptError, match="four_pose"):
         read_queue(path)
 
@@ -232,11 +206,6 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     assert batch.run()["how"] == "finished"
     assert seen[:2] == ["wait for a-001", "make safe a-001"]
     assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]
-
-
-def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
-    with pytest.raises(DocumentFaults, match="same name: Cam7, cam7"):
-        queue(("cam7", ""), ("Cam7", ""))
 
 
 def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_continues_it(tmp_path):

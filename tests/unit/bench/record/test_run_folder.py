@@ -280,16 +280,3 @@ def test_a_folder_that_a_run_left_before_its_first_line_is_used_by_the_same_comm
     with pytest.raises(UsageError, match=r"notes\.txt"):
         RunFolder.create(tmp_path / "run", documents=documents)
     assert (tmp_path / "run" / "notes.txt").exists()
-
-
-def test_a_folder_with_a_line_of_a_run_or_with_files_of_somebody_is_left_alone(tmp_path):
-    with RunFolder.create(tmp_path / "run") as folder, begin_journal(folder) as journal:
-        journal.append("run_started")
-    own = tmp_path / "own"
-    own.mkdir()
-    (own / "sequence.yaml").write_text("name: mine")
-    for path in (tmp_path / "run", own):
-        before = visible(path)
-        with pytest.raises(UsageError, match="not empty"):
-            RunFolder.create(path)
-        assert visible(path) == before

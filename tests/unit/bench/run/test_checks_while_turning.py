@@ -64,13 +64,6 @@ def see_each_pose_once(scene):
             assert stored["measured_deg"][axis] == pytest.approx(angle_deg, abs=0.05)
 
 
-def test_the_stage_turns_to_the_next_pose_while_a_recording_is_checked(scene):
-    assert scene.run().how == "finished"
-    assert story(scene) == (
-        "slew 1, record 1, slew 2, accept 1, record 2, slew 3, accept 2, record 3, accept 3"
-    )
-
-
 def test_a_run_waits_only_for_what_is_left_of_a_check_and_the_plan_counts_so(scene):
     scene.run()
     entries, _ = read_journal(scene.folder / "journal.jsonl")
