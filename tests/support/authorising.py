@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench.evidence.personal_key import load_file_key
-from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
+from bench.evidence.signers import AUTHORISATION_NAMESPACE, Signer
 from bench.evidence.ssh_keys import string
 
 needs_ssh_keygen = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen")
@@ -67,16 +67,6 @@ def person(path, name="ada@lab.example", passphrase=b""):
     """Load a key for signing, and the line that trusts it for authorisations."""
     key = load_file_key(path, lambda _: passphrase)
     return key, Signer(name, key.public_key, (AUTHORISATION_NAMESPACE,))
-
-
-def ssh_verifies(folder, signers, who, *more, signed="SHA256SUMS.sig", signature="SHA256SUMS.authorised.sig"):
-    """Whether stock ssh-keygen accepts the authorisation beside a seal, or another signature."""
-    namespace = NAMESPACE if signed == "SHA256SUMS" else AUTHORISATION_NAMESPACE
-    command = ["ssh-keygen", "-Y", "verify", "-f", signers, "-I", who]
-    command += ["-n", namespace, "-s", signature, *more]
-    with (folder / signed).open("rb") as read:
-        done = subprocess.run(command, cwd=folder, stdin=read, capture_output=True, check=False)
-    return done.returncode == 0
 
 
 def armoured(public, signature, namespace="a@v1"):

@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from rehearsed import TWO, Journal, Scene, with_runner
-from run_faults import FAULTS, Died, Fault, command
+from rehearsed import TWO, Scene, with_runner
+from run_faults import FAULTS, Died, Fault, command, mortal
 
 import bench.batch.rehearsal
 from bench.base.clock import VirtualClock
-from bench.base.errors import StorageError
 from bench.record.events import Event
 from bench.record.journal import read_journal, stored_captures
 from bench.record.storage import sha256_of
@@ -62,27 +61,10 @@ class Cell:
     wrong: tuple[str, ...] = ()
 
 
-class _Mortal(Journal):
-    """A journal that a dead process writes no more into."""
-
-    scene = None
-
-    def put(self, event, data, *, synced):
-        if self.scene.dead:
-            raise Died
-        disk = self.scene.disk
-        if disk is not None:
-            try:
-                disk()
-            except OSError as error:
-                raise StorageError(str(error), where=str(self.path)) from error
-        return super().put(event, data, synced=synced)
-
-
 def strike(fault: Fault, state: str, folder: Path, patch: pytest.MonkeyPatch) -> Cell:
     """Let a fault strike the first call it can in a state; see what becomes of the run."""
     scene = with_runner(Scene(folder, station=fault.station, poses=TWO, end=END, attempts=3), patch)
-    scene.dead, scene.struck_at_s, scene.disk = False, None, None
+    scene.struck_at_s = None
     struck = [0]
     refused = [False]
 
@@ -106,9 +88,8 @@ def strike(fault: Fault, state: str, folder: Path, patch: pytest.MonkeyPatch) ->
     if "disk" in fault.of:
         scene.disk = lambda: happens("disk")
     _with_a_hold(scene, happens, patch, stop_there=state == "aborting")
-    kind = type("Journal", (_Mortal,), {"scene": scene})
     try:
-        end = scene.run(journal_type=kind)
+        end = scene.run(journal_type=mortal(scene))
         how, why = end.how, end.why
     except Died:
         how, why = "died", ""
@@ -184,7 +165,7 @@ def _reported(entries):
 
 def _resumed(scene, patch):
     """Remove the cause, resume; what is wrong with the end."""
-    scene.hook, scene.dead, scene.disk = (lambda _name: None), False, None
+    scene.hook, scene.dead, scene.disk = (lambda _name: None), False, (lambda: None)
     patch.undo()
     with_runner(scene, patch)
     _quick_solution(patch)

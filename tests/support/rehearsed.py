@@ -13,7 +13,7 @@ from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from bench.record.history import replay
-from bench.record.journal import Journal, read_journal
+from bench.record.journal import read_journal
 from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.runner import Runner
 
@@ -54,6 +54,7 @@ class Scene:
         self.opened = []
         self.calls = []
         self.runner = None
+        self.dead, self.disk = False, lambda: None
         self.clock = VirtualClock(BEGIN)
 
     def run(self, *, journal_type=UnsyncedJournal):
@@ -126,6 +127,3 @@ def with_runner(scene, monkeypatch):
 
     monkeypatch.setattr(bench.batch.rehearsal, "Runner", Known)
     return scene
-
-
-__all__ = ["BEGIN", "TWO", "Hooked", "Journal", "Scene", "with_runner"]

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 from rehearsed import Scene
 
+from bench.base.errors import StorageError
+from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.control import Command
 from drivers.errors import (
     CameraLost,
@@ -29,7 +31,23 @@ LOST = "\ninterlocks: {device_lost: {retry_s: 5, max_hold_s: 60}}\n"
 
 
 class Died(BaseException):
-    """The process is gone."""
+    """The process is gone: nothing of it is written any more, and no device hears from it."""
+
+
+def mortal(scene):
+    """The journal of a process that may die, and whose disk may fail: ``scene.dead``, ``scene.disk``."""
+
+    class Mortal(UnsyncedJournal):
+        def put(self, event, data, *, synced):
+            if scene.dead:
+                raise Died
+            try:
+                scene.disk()
+            except OSError as error:
+                raise StorageError(str(error), where=str(self.path)) from error
+            return super().put(event, data, synced=synced)
+
+    return Mortal
 
 
 @dataclass(frozen=True)
@@ -47,11 +65,11 @@ class Fault:
     station: str = ""
 
 
-def command(scene, word):
+def command(scene, word, **more):
     """Play the thread that takes commands."""
     inbox = getattr(scene.runner, "inbox", None)
     if inbox is not None and not inbox.closed:
-        inbox.decide(Command(word=word, by="ada"), "command.json")
+        inbox.decide(Command(word=word, by="ada", **more), "command.json")
 
 
 def raising(error):

@@ -109,10 +109,6 @@ def test_what_stands_under_a_refused_key_is_dropped_with_it():
     assert set(tree.keys) == {("a",), ("d",)}
 
 
-def test_a_broken_document_says_it_was_not_read_to_its_end():
-    assert not parse(b"a: 1\nb: [\n", "f").complete
-
-
 @pytest.mark.parametrize("opening", ["[", "- ", "{a: ", "? ", "[{"])
 def test_nesting_without_end_is_refused_at_its_bound_not_at_the_end_of_the_file(opening):
     text = opening * (MOST_BYTES // len(opening))

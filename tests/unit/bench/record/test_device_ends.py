@@ -1,5 +1,7 @@
 """How a run left each device: only what a device answered is called safe."""
 
+from unittest.mock import create_autospec
+
 import pytest
 
 from bench.base.clock import BenchClock
@@ -7,6 +9,7 @@ from bench.record.device_end import DeviceEnd, all_ends
 from bench.stations import devices
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, ReplyTimeout
+from drivers.stage.zaber import ZaberStage
 
 
 @pytest.mark.parametrize(
@@ -31,36 +34,22 @@ def test_a_device_that_nobody_mentions_was_never_opened():
     assert [end.state for end in all_ends([light])] == ["never opened", "confirmed safe", "never opened"]
 
 
-class Stage:
-    """A stage that answers."""
-
-    stopped = closed = 0
-
-    def stop(self):
-        self.stopped += 1
-
-    def close(self):
-        self.closed += 1
-
-    def position_deg(self):
-        return {"pan": 1.25}
-
-
-class MuteStage(Stage):
-    def stop(self):
-        raise ReplyTimeout("no complete reply within 2 s.")
-
-
 @pytest.mark.parametrize(
-    ("stage", "state", "reason"),
+    ("stop", "state", "reason"),
     [
-        (Stage(), "confirmed safe", "it confirmed the stop and reads pan 1.250 deg"),
-        (MuteStage(), "not confirmed", "the stage did not confirm its stop: no complete reply within 2 s."),
+        (None, "confirmed safe", "it confirmed the stop and reads pan 1.250 deg"),
+        (
+            ReplyTimeout("no complete reply within 2 s."),
+            "not confirmed",
+            "the stage did not confirm its stop: no complete reply within 2 s.",
+        ),
     ],
 )
-def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkeypatch, stage, state, reason):
+def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkeypatch, stop, state, reason):
     """The run said "nothing was moved or switched", whatever had been opened before."""
     station = load_station("example_evk4").value
+    stage = create_autospec(ZaberStage, instance=True)
+    stage.stop.side_effect, stage.position_deg.return_value = stop, {"pan": 1.25}
     monkeypatch.setattr(devices, "open_stage", lambda *_: stage)
     monkeypatch.setattr(devices, "hold_devices", lambda _devices: devices.ExitStack())
 
@@ -72,5 +61,5 @@ def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkey
         devices.Devices(station, seed=1, clock=BenchClock(), wire_log=None)
     (left,) = devices.left_devices(caught.value)
     assert (left.device, left.state, left.said) == ("stage", state, reason)
-    assert stage.closed == 1
+    stage.close.assert_called_once()
     assert devices.left_devices(ValueError()) == []

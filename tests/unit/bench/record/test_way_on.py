@@ -40,11 +40,3 @@ def test_a_run_of_an_earlier_version_begins_again_with_the_copies_of_its_files(t
     sentence, command = way_on(history, run)
     assert command == f"starbench run {run / 'sequence.yaml'} --station {run / 'station.yaml'}"
     assert f"`starbench resume {run}`" in sentence
-
-
-def test_commands_are_pasted_whole_from_a_folder_with_a_space(tmp_path):
-    run = tmp_path / "cam 7"
-    assert way_on(History(), run)[1] == f"starbench resume '{run}'"
-    sentence, _ = way_on(ended("PoseFailed", accepted=False), run)
-    assert "`starbench align --station 'my bench.yaml'`" in sentence
-    assert f"`starbench resume '{run}'`" in sentence

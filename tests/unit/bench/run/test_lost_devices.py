@@ -11,7 +11,6 @@ from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.run.run_devices import NOT_REOPENED
 from bench.run.states import NOT_STATED, connections
-from bench.run.status import read_status, status_text
 from drivers.camera import CameraIdentity
 from drivers.errors import CameraLost, LightFault, PortLost, PortNotFound, ReplyTimeout, WrongDevice
 
@@ -115,25 +114,6 @@ def test_what_each_device_confirmed_stands_before_the_results(tmp_path):
     at = journaled(scene).index(Event.DEVICES_LEFT)
     entered = [data["state"] for event, data in scene.events()[:at] if event == Event.ENTERING]
     assert entered[-1] == "parking"
-
-
-def test_a_camera_unplugged_after_the_last_recording_is_stated_and_the_run_finishes(tmp_path):
-    scene = Scene(tmp_path, poses=TWO, end=END)
-
-    def hook(name):
-        if name.startswith("camera.") and "parking" in scene.states():
-            raise CameraLost("gone")
-
-    scene.hook = hook
-    end = scene.run()
-    assert end.how == "finished"
-    end_of_camera = ("not confirmed", "the camera does not answer: gone")
-    assert left(scene)["camera"] == end_of_camera
-    assert {left(scene)[device][0] for device in ("stage", "light")} == {"confirmed safe"}
-    (camera,) = [device for device in end.devices if device.device == "camera"]
-    assert (camera.state, camera.said) == end_of_camera
-    shown = status_text(read_status(scene.folder))
-    assert "camera: not confirmed" in shown
 
 
 @pytest.mark.parametrize("ended", [True, False])

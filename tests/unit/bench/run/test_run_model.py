@@ -19,14 +19,13 @@ from hypothesis.stateful import (
 )
 from quick_runs import THREE
 from rehearsed import Scene, with_runner
+from run_faults import Died, command, mortal
 
 from bench.base.clock import VirtualClock
 from bench.record.events import Event
 from bench.record.history import replay
 from bench.record.journal import read_journal, stored_captures
 from bench.record.storage import sha256_of
-from bench.record.unsynced_journal import UnsyncedJournal
-from bench.run.control import Command
 from bench.run.machine import EDGES
 from drivers.errors import (
     CameraLost,
@@ -73,10 +72,6 @@ TAKEN: set[tuple[str, str]] = set()
 """Edges (state left, state entered) that any run of these tests has taken."""
 
 
-class Died(BaseException):
-    """The process is gone: nothing of it is written any more, and no device hears from it."""
-
-
 PLACE = st.tuples(st.sampled_from(PLACES), st.integers(1, 3))
 BEFALLS = st.one_of(
     st.tuples(st.just("fault"), PLACE, st.sampled_from(FAULTS)),
@@ -100,7 +95,6 @@ class Life(RuleBasedStateMachine):
         self.recorded: dict[int, str] = {}
         self.skipped: set[int] = set()
         self.ended = ""
-        self.dead = False
         self.light_failed = False
         self.shut_at_s = None
         self.processes = 0
@@ -132,7 +126,7 @@ class Life(RuleBasedStateMachine):
     @rule(befalls=st.lists(BEFALLS, min_size=1, max_size=4))
     def a_process_works_on_it(self, befalls):
         counts: dict[str, int] = {}
-        self.dead = self.light_failed = False
+        self.scene.dead = self.light_failed = False
         self.shut_at_s = None
 
         def hook(name):
@@ -150,11 +144,11 @@ class Life(RuleBasedStateMachine):
         with pytest.MonkeyPatch.context() as patch:
             self._let_time_shut_doors_and_end_holds(patch)
             try:
-                self.ended = self.scene.run(journal_type=self._journal_of_a_mortal()).how
+                self.ended = self.scene.run(journal_type=mortal(self.scene)).how
             except Died:
                 self.ended = ""
         self.door.write_text("1")
-        ENDS.append("died" if self.dead else self.ended)
+        ENDS.append("died" if self.scene.dead else self.ended)
         self._compare()
 
     def _befall(self, kind, what, name):
@@ -164,30 +158,20 @@ class Life(RuleBasedStateMachine):
                 self.light_failed |= name in {"light.off", "open"}
                 raise what
             case "death":
-                self.dead = True
+                self.scene.dead = True
                 self._see_whether_dead()
             case "door":
                 self._open_door(what)
             case "command":
-                self._command(what)
+                command(self.scene, what)
             case "skip":
-                self._command("skip", pose=what)
+                command(self.scene, "skip", pose=what)
             case "signal":
                 self.scene.clock.request_stop("SIGTERM received")
 
     def _see_whether_dead(self):
-        if self.dead:
+        if self.scene.dead:
             raise Died
-
-    def _journal_of_a_mortal(self):
-        life = self
-
-        class Mortal(UnsyncedJournal):
-            def put(self, event, data, *, synced):
-                life._see_whether_dead()
-                return super().put(event, data, synced=synced)
-
-        return Mortal
 
     def _let_time_shut_doors_and_end_holds(self, patch):
         """A hold ends after a while, a door is shut after its time."""
@@ -199,7 +183,7 @@ class Life(RuleBasedStateMachine):
                 life.shut_at_s = None
             runner = life.scene.runner
             if runner is not None and runner.context.log.history.holder and runner.state == "holding":
-                life._command("release")
+                command(life.scene, "release")
             sleep(clock, seconds)
 
         patch.setattr(VirtualClock, "sleep", passing)
@@ -207,14 +191,6 @@ class Life(RuleBasedStateMachine):
     def _open_door(self, shut_after_s):
         self.door.write_text("0")
         self.shut_at_s = self.scene.clock.monotonic() + shut_after_s
-
-    def _command(self, word, **more):
-        """Decide a command at once, while the work goes on. In a run, another thread does so."""
-        runner = self.scene.runner
-        inbox = getattr(runner, "inbox", None)
-        if inbox is None or inbox.closed:
-            return
-        inbox.decide(Command(word=word, by="ada", **more), "command.json")
 
     # ------------------------------------------------------------ what must hold whatever happened
 

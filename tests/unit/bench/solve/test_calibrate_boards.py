@@ -89,17 +89,6 @@ def test_files_of_others_in_a_folder_are_named_and_change_nothing(folder, tmp_pa
     assert all(name in left_out for name in strangers)
 
 
-def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
-    (tmp_path / "README.txt").write_text("Pictures of the board.\n")
-    captured = call(capsys, "calibrate", tmp_path, "--board", "checkerboard:7x5:20mm", status=1)
-    assert "no usable view" in captured.err
-    assert "README.txt" in captured.err
-    captured = call(
-        capsys, "calibrate", tmp_path / "README.txt", "--board", "checkerboard:7x5:20mm", status=1
-    )
-    assert "README.txt:1" in captured.err
-
-
 @pytest.mark.parametrize(
     ("more", "reason"),
     [

@@ -2,24 +2,19 @@
 
 import copy
 import hashlib
-from datetime import UTC, datetime
 
 import pytest
 from report_sample import SMALL, sample
 
 from bench.base.bounded_json import canonical_json
-from bench.record.ledger import Ledger
 from bench.solve.result import FIRST, previous_calibration
-
-NOW = datetime(2026, 3, 1, tzinfo=UTC)
 
 
 class Bench:
     """A ledger, and sealed folders of runs with results."""
 
-    def __init__(self, path):
-        self.path = path
-        self.ledger = Ledger(path / "home", utc_now=lambda: NOW, monotonic=lambda: 0.0)
+    def __init__(self, path, ledger):
+        self.path, self.ledger = path, ledger
         self.results = sample(size=SMALL).results
 
     def run(self, name, *, change=lambda _: None, camera="00050423", simulated=True, how="finished"):
@@ -45,8 +40,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path):
-    return Bench(tmp_path)
+def bench(tmp_path, ledger):
+    return Bench(tmp_path, ledger)
 
 
 def test_the_first_calibration_is_called_so(bench):
