@@ -38,13 +38,22 @@ class NightClock:
         self.now_s += seconds
 
 
-class Workers:
-    """Stands for the processes: ends as told, and leaves the folder a run would leave."""
+def _nothing(_run):
+    pass
 
-    def __init__(self, clock, *ends, run_s=600.0):
+
+class Workers:
+    """Stands for the processes: ends as told, and leaves the folder a run would leave.
+
+    ``before`` and ``after`` are called with the folder of each run.
+    """
+
+    def __init__(self, clock, *ends, run_s=600.0, before=_nothing, after=_nothing):
         self.clock, self.ends, self.run_s, self.begun = clock, list(ends), run_s, []
+        self.before, self.after = before, after
 
     def __call__(self, item, run, _log):
+        self.before(run)
         word = worker_command(item, run)[0]
         self.begun.append((word, run.name, self.clock.now_s))
         if word == "run":
@@ -52,16 +61,18 @@ class Workers:
             with RunFolder.create(run) as folder, Journal.create(folder.journal_path, **clocks) as journal:
                 journal.append(Event.RUN_STARTED, id=run.name)
         self.clock.sleep(self.run_s)
+        self.after(run)
         end = self.ends.pop(0) if self.ends else "finished"
         if isinstance(end, BaseException):
             raise end
         return end if isinstance(end, WorkerEnd) else WorkerEnd(end, "")
 
 
-def night(folder, queue, *ends, clock=None, say=lambda _: None):
+def night(folder, queue, *ends, clock=None, say=lambda _: None, before=_nothing, after=_nothing, **more):
+    """A batch of a queue, and its workers."""
     clock = clock or NightClock()
-    workers = Workers(clock, *ends)
-    return Batch(folder, queue, clock, say, workers), workers
+    workers = Workers(clock, *ends, before=before, after=after)
+    return Batch(folder, queue, clock, say, workers, **more), workers
 
 
 def begun(workers):

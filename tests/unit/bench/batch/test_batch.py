@@ -7,12 +7,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from nights import JOB, NightClock, Workers, begun, hows, night, queue
+from nights import JOB, NightClock, begun, hows, night, queue
 from quick_runs import write_queue
 
 from bench.base.clock import Aborted
 from bench.base.errors import RunFolderError, ScriptError, UsageError
-from bench.batch.batch import Batch, worker_command
+from bench.batch.batch import worker_command
 from bench.batch.batch_plan import plan_of, read_queue
 from bench.batch.batch_record import by_priority, items_of
 from bench.batch.batch_status import batch_status_text, read_batch_status
@@ -148,31 +148,26 @@ def test_a_queue_is_checked_with_all_it_names_before_anything_runs(tmp_path):
 # ---------------------------------------------------------------- what counts as an attempt
 
 
-class Recording(Workers):
-    """A run that dies again and again, each time after one more pose."""
-
-    def __call__(self, item, run, log):
-        end = super().__call__(item, run, log)
-        clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}
-        with Journal.open(run / "journal.jsonl", **clocks) as journal:
-            pose = len(self.begun)
-            if pose in self.gaining:
-                journal.append(Event.CAPTURE_STORED, pose=pose, pose_name="p", attempt=1)
-                journal.append(Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True)
-        return end
-
-
 @pytest.mark.parametrize(
     ("gaining", "begun_times", "how"),
     [({1, 2, 3}, 5, "died"), ({1, 2, 3, 4}, 6, "finished"), ({3}, 2, "died"), (set(), 2, "died")],
 )
 def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, begun_times, how):
+    """The run dies five times; some of its processes have recorded one more pose."""
     clock = NightClock()
-    workers = Recording(clock, *["died"] * 5)
-    workers.gaining = gaining
-    summary = Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, workers).run()
+
+    def record(run):
+        pose = len(workers.begun)
+        if pose in gaining:
+            clocks = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}
+            with Journal.open(run / "journal.jsonl", **clocks) as journal:
+                journal.append(Event.CAPTURE_STORED, pose=pose, pose_name="p", attempt=1)
+                journal.append(Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True)
+
+    jobs = queue(("a", ", attempts: 2"))
+    batch, workers = night(tmp_path, jobs, *["died"] * 5, clock=clock, after=record)
+    assert hows(batch.run()) == {"a-001": how}
     assert len(workers.begun) == begun_times
-    assert hows(summary) == {"a-001": how}
 
 
 def test_power_cuts_use_up_no_attempt(tmp_path, monkeypatch):
@@ -199,13 +194,10 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     monkeypatch.setattr(
         "bench.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
     )
-    workers = Workers(clock)
-    batch = Batch(
-        tmp_path, top, clock, lambda _: None, lambda *words: seen.append(words[0].key) or workers(*words)
-    )
+    batch, _ = night(tmp_path, top, clock=clock, before=lambda run: seen.append(run.name))
     assert batch.run()["how"] == "finished"
-    assert seen[:2] == ["wait for a-001", "make safe a-001"]
-    assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]
+    assert seen[:3] == ["wait for a-001", "make safe a-001", "late-001"]
+    assert seen[-1] == "a-001"
 
 
 def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_continues_it(tmp_path):
@@ -216,16 +208,14 @@ def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_con
 
 
 def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_killed(tmp_path):
-    clock, seen, summaries = NightClock(), [], []
-    workers = Workers(clock)
+    seen, summaries, folder = [], [], tmp_path / "night"
 
-    def work(item, run, log):
-        seen.append(read_batch_status(tmp_path / "night"))
-        summaries.append(summarise(tmp_path / "night", read_batch(tmp_path / "night")))
-        shutil.copytree(tmp_path / "night", tmp_path / f"killed-{run.name}")  # as a power cut leaves it
-        return workers(item, run, log)
+    def look(run):
+        seen.append(read_batch_status(folder))
+        summaries.append(summarise(folder, read_batch(folder)))
+        shutil.copytree(folder, tmp_path / f"killed-{run.name}")  # as a power cut leaves it
 
-    Batch(tmp_path / "night", queue(("a", ""), ("b", "")), clock, lambda _: None, work).run()
+    night(folder, queue(("a", ""), ("b", "")), before=look)[0].run()
     assert [status.current_run for status in seen] == ["a-001: starting", "b-001: starting"]
     assert all(status.running for status in seen)
     killed = read_batch_status(tmp_path / "killed-b-001")
@@ -235,7 +225,7 @@ def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_ki
     assert [item["how"] for item in killed_items] == ["finished", "cut off"]
     assert (killed.running, killed.current_run) == (False, "")
     assert [run.item for run in killed.done] == ["a-001"]
-    ended = read_batch_status(tmp_path / "night")
+    ended = read_batch_status(folder)
     assert (ended.running, ended.current_run, ended.ended) == (False, "", "finished")
 
 
@@ -257,14 +247,8 @@ class MovedClock(NightClock):
 def runs_on_a_moved_clock(folder, jobs, **moved):
     """How many runs a batch begins whose clock moves during its first; that one is known to have taken 10 minutes."""
     clock = MovedClock()
-    workers = Workers(clock)
-
-    def work(*words):
-        end = workers(*words)
-        vars(clock).update(moved)
-        return end
-
-    Batch(folder, jobs, clock, lambda _: None, work).run()
+    batch, workers = night(folder, jobs, clock=clock, after=lambda _: vars(clock).update(moved))
+    batch.run()
     assert read_batch(folder).runs["a-001"].ended[0].duration_s == pytest.approx(600.0, abs=1.0)
     return len(workers.begun)
 

@@ -6,11 +6,10 @@ from datetime import UTC, datetime
 
 import pytest
 from locking_process import locking, suspend
-from nights import NightClock, Workers, begun, hows, job_words, queue
+from nights import NightClock, begun, hows, job_words, night, queue
 from waiting import wait_until
 
 from bench.base.errors import RunFolderError, ScriptError
-from bench.batch.batch import Batch
 from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
 from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.commands.status import tell
@@ -31,24 +30,21 @@ def withdraw(name):
     return Request(word="withdraw", by="ada@lab", name=name)
 
 
-class Asked(Workers):
-    """Leaves requests while a run is under way."""
+def leaves(folder, *requests):
+    """What leaves requests while the first run is under way."""
+    left = list(requests)
 
-    def __init__(self, clock, folder, requests):
-        super().__init__(clock)
-        self.folder, self.requests = folder, list(requests)
+    def leave_all(_run):
+        while left:
+            leave(folder, left.pop(0), number=len(left))
+        wait_until(lambda: not any((folder / REQUESTS).glob("*.json")), 20)
 
-    def __call__(self, item, run, log):
-        while self.requests:
-            leave(self.folder, self.requests.pop(0), number=len(self.requests))
-        wait_until(lambda: not any((self.folder / REQUESTS).glob("*.json")), 20)
-        return super().__call__(item, run, log)
+    return leave_all
 
 
-def one_run(folder, workers=None, say=lambda _: None, **more):
-    """A batch of one job."""
-    workers = workers or Workers(NightClock())
-    return Batch(folder, queue(("a", "")), workers.clock, say, workers, **more)
+def one_run(folder, **more):
+    """A batch of one job, and its workers."""
+    return night(folder, queue(("a", "")), **more)
 
 
 def asked(folder):
@@ -56,10 +52,9 @@ def asked(folder):
 
 
 def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(tmp_path):
-    clock = NightClock()
-    requests = [withdraw("b"), add("urgent", priority=9, times=2)]
-    workers = Asked(clock, tmp_path, requests)
-    summary = Batch(tmp_path, queue(("a", ", times: 2"), ("b", "")), clock, lambda _: None, workers).run()
+    before = leaves(tmp_path, withdraw("b"), add("urgent", priority=9, times=2))
+    batch, workers = night(tmp_path, queue(("a", ", times: 2"), ("b", "")), before=before)
+    summary = batch.run()
     assert begun(workers) == ["run a-001", "run urgent-001", "run urgent-002", "run a-002"]
     assert hows(summary)["b-001"] == "withdrawn"
     assert summary["how"] == "finished"
@@ -81,7 +76,7 @@ def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(t
     ids=["doubled", "doubled in capitals", "unknown", "nothing left", "no such sequence"],
 )
 def test_a_request_that_makes_no_sense_is_refused_with_its_reason(tmp_path, request_, why):
-    summary = one_run(tmp_path, Asked(NightClock(), tmp_path, [request_])).run()
+    summary = one_run(tmp_path, before=leaves(tmp_path, request_))[0].run()
     (answer,) = asked(tmp_path)
     assert not answer["taken"]
     assert why in answer["why"]
@@ -89,16 +84,16 @@ def test_a_request_that_makes_no_sense_is_refused_with_its_reason(tmp_path, requ
 
 
 def test_requests_left_while_no_process_works_are_taken_when_the_batch_goes_on(tmp_path):
-    one_run(tmp_path).run()
+    one_run(tmp_path)[0].run()
     request = add("late", times=2)
     assert send_request(tmp_path, request, patience_s=0.5) is None
     assert "when it continues" in answer_text(None)
-    workers = Workers(NightClock())
-    summary = one_run(tmp_path, workers).run()
+    batch, workers = one_run(tmp_path)
+    summary = batch.run()
     assert begun(workers) == ["run late-001", "run late-002"]
     assert not any((tmp_path / REQUESTS).iterdir())
     leave(tmp_path, request)  # the process died between its answer and the removal of the file
-    assert one_run(tmp_path).run()["items"] == summary["items"]
+    assert one_run(tmp_path)[0].run()["items"] == summary["items"]
     assert len(asked(tmp_path)) == 1
 
 
@@ -106,19 +101,20 @@ def test_what_is_no_request_is_answered_and_removed(tmp_path):
     (tmp_path / REQUESTS / "stray" / "deep").mkdir(parents=True)
     (tmp_path / REQUESTS / "0-x.json").write_bytes(b"{")
     (tmp_path / REQUESTS / "1-big.json").write_bytes(b" " * 100_000)
-    one_run(tmp_path).run()
+    one_run(tmp_path)[0].run()
     assert [(a["word"], a["taken"]) for a in asked(tmp_path)] == [("unknown", False)] * 3
     assert not any((tmp_path / REQUESTS).iterdir())
 
 
 def test_a_job_added_at_midnight_counts_its_repetitions_from_then(tmp_path):
-    class At(Asked):
-        def __call__(self, item, run, log):
-            self.clock.now_s = max(self.clock.now_s, 4 * 3600.0)
-            return super().__call__(item, run, log)
+    clock, leave_all = NightClock(), leaves(tmp_path, add("late", times=2, every_min=60))
 
-    workers = At(NightClock(), tmp_path, [add("late", times=2, every_min=60)])
-    one_run(tmp_path, workers).run()
+    def at_midnight(run):
+        clock.now_s = max(clock.now_s, 4 * 3600.0)
+        leave_all(run)
+
+    batch, workers = one_run(tmp_path, clock=clock, before=at_midnight)
+    batch.run()
     times_h = [at_s / 3600 for _, _, at_s in workers.begun]
     assert times_h == pytest.approx([4, 4 + 600 / 3600, 5], abs=2e-3)
 
@@ -127,12 +123,8 @@ def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
     """The sender's side, with the batch in a thread."""
     gate, answers = threading.Event(), []
 
-    class Held(Workers):
-        def __call__(self, item, run, log):
-            assert gate.wait(30)
-            return super().__call__(item, run, log)
-
-    thread = threading.Thread(target=one_run(tmp_path, Held(NightClock())).run)
+    batch, _ = one_run(tmp_path, before=lambda _: gate.wait(30))
+    thread = threading.Thread(target=batch.run)
     thread.start()
     try:
         wait_until((tmp_path / "journal.jsonl").exists, 20)
@@ -163,13 +155,11 @@ def test_a_request_carries_what_its_word_needs(words):
 def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
     clock, looks = NightClock(), []
 
-    class Looked(Workers):
-        def __call__(self, item, run, log):
-            looks.append(read_batch_status(tmp_path, clock.utc_now))
-            return super().__call__(item, run, log)
+    def look(_run):
+        looks.append(read_batch_status(tmp_path, clock.utc_now))
 
     jobs = queue(("a", ", times: 3, every_min: 30"), top="zone: UTC\nstop_by: '20:50'\n")
-    Batch(tmp_path, jobs, clock, lambda _: None, Looked(clock)).run()
+    night(tmp_path, jobs, clock=clock, before=look)[0].run()
     first, second = looks
     assert first.running
     assert [run.item for run in first.upcoming] == ["a-001", "a-002", "a-003"]
@@ -188,7 +178,7 @@ def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
 
 def test_a_batch_whose_process_is_suspended_is_told_as_such_and_how_it_continues(tmp_path):
     clock = NightClock()
-    Batch(tmp_path, queue(("a", ", times: 2")), clock, lambda _: None, Workers(clock)).run()
+    night(tmp_path, queue(("a", ", times: 2")), clock=clock)[0].run()
     with locking(tmp_path) as process:
         suspend(process)
         assert f"kill -CONT {process.pid}" in batch_status_text(read_batch_status(tmp_path, clock.utc_now))
@@ -200,13 +190,13 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
 
     monkeypatch.setattr("bench.batch.batch_requests.job_faults", broken)
     leave(tmp_path, add("b"))
-    assert one_run(tmp_path).run()["how"] == "finished"
+    assert one_run(tmp_path)[0].run()["how"] == "finished"
     assert asked(tmp_path)[0]["why"].endswith("ZeroDivisionError: nobody foresaw this")
 
 
 def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):
-    one_run(tmp_path, rehearsal=True).run()
+    one_run(tmp_path, rehearsal=True)[0].run()
     lines = []
     with pytest.raises(RunFolderError, match="in the same folder"):
-        one_run(tmp_path, say=lines.append).run()
+        one_run(tmp_path, say=lines.append)[0].run()
     assert lines == []

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.measure import measure as measuring
 from bench.measure.gates import failed_gate_texts, recording_gates, rejection_reasons
-from bench.measure.measure import WholeImage, aligned_poses, measure
-from calib.target import StarTarget
+from bench.measure.measure import aligned_poses
 from drivers.camera import RecordingFacts
 from sequences.script import Gates
 
@@ -116,30 +114,3 @@ def quality(roll_deg: float, kind: str) -> dict:
 )
 def test_recordings_with_edges_along_rows_or_diagonals_are_counted(seen, aligned):
     assert aligned_poses(seen) == aligned
-
-
-# ---------------------------------------------------------------- no stars
-
-PIXELS = (720, 1280)
-
-
-@pytest.mark.parametrize(
-    ("lit", "source", "reason"),
-    [
-        (12, "triggers", "The picture is dark: the sync signal comes, but only 0.0013 % of the pixels follow the light."),
-        (12, "events", "The picture is dark: some events flicker, but only 0.0013 % of the pixels follow the light."),
-        (400_000, "triggers", "Tag 3 of family 36h11 is not in the image as a whole, and no pattern of stars was found."),
-    ],
-)  # fmt: skip
-def test_a_dark_picture_is_told_from_one_without_target(tmp_path, monkeypatch, lit, source, reason):
-    def picture(_data, _image, _periods, _hz, facts, **_):
-        facts["flicker_source"], facts["image"] = source, {"lit_pixels": lit}
-        return WholeImage(np.zeros(PIXELS, np.float32), lambda: iter(()))
-
-    monkeypatch.setattr(measuring, "read_events", lambda _path: ())
-    monkeypatch.setattr(measuring, "whole_image", picture)
-    measurement = measure(
-        tmp_path / "a.raw", name="left", target=StarTarget(), image="auto", periods=None, expected_hz=60.0
-    )
-    assert measurement.fault.startswith(f"view left: {reason}")
-    assert measurement.fault.index("lamp is lit" if lit < 100 else "Turn the camera") > 0

@@ -20,18 +20,19 @@ def beam(square_px: int, blur_px: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("image", "words"),
+    ("image", "source", "words"),
     [
-        (beam(12), "Tag 3 is not in the image."),
-        (beam(12, 20.0), "The image is out of focus"),
-        (beam(0), "The image is out of focus"),
-        (np.ones((720, 1280), np.float32), "flickering light, and no picture in it"),
-        (beam(12) * (np.arange(1280) < 420), "The picture is dark"),
-        (np.zeros((720, 1280), np.float32), "The picture is dark"),
+        (beam(12), "triggers", "Tag 3 is not in the image."),
+        (beam(12, 20.0), "triggers", "The image is out of focus"),
+        (beam(0), "triggers", "The image is out of focus"),
+        (np.ones((720, 1280), np.float32), "triggers", "flickering light, and no picture in it"),
+        (beam(12) * (np.arange(1280) < 420), "triggers", "The picture is dark"),
+        (np.zeros((720, 1280), np.float32), "triggers", "The picture is dark: the sync signal comes"),
+        (np.zeros((720, 1280), np.float32), "events", "The picture is dark: some events flicker"),
     ],
 )
-def test_the_reason_is_told_and_where(image, words):
-    facts = {"image": {"lit_pixels": int(np.count_nonzero(image))}, "flicker_source": "triggers"}
+def test_the_reason_is_told_and_where(image, source, words):
+    facts = {"image": {"lit_pixels": int(np.count_nonzero(image))}, "flicker_source": source}
     reason = why_no_target(SAID, facts, image)
     assert words in reason.what
     assert reason.where == "view left"
