@@ -123,7 +123,7 @@ def _camera(camera: str, model: str, runs: Sequence[IndexedRun]) -> CameraData:
         "camera": camera,
         "model": model,
         "runs": len(runs),
-        "parameters": [agreement.to_dict() for agreement in agreements(runs)],
+        "parameters": agreements(runs),
     }
 
 

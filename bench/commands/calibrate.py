@@ -21,7 +21,7 @@ from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command
 from bench.commands.output import JSON, NOT_KEPT, left_out_lines, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers, views_line
-from bench.measure.kept_views import FOLDER
+from bench.measure.kept_views import FOLDER, KeptViews
 from bench.record.coverage import factors_text
 from bench.record.storage import new_output
 from bench.solve.offline_options import OfflineOptions
@@ -219,8 +219,6 @@ def calibrate(
     Dask scheduler. A PATH is then a run, a folder of runs, a folder of recordings, or a URL of runs, such as
     s3://bucket/runs.
     """
-    from bench.solve.offline_options import OfflineOptions
-
     chosen = OfflineOptions.from_command_line(**options)
     if each:
         return calibrate_each(paths, chosen, workers, output, table_only=table_only)
@@ -233,7 +231,6 @@ def calibrate(
 
 def _calibrate_together(paths: list[Path], options: OfflineOptions, output: Path | None) -> int:
     """Calibrate from all views, write and seal the results where an output folder is given, and print."""
-    from bench.measure.kept_views import KeptViews
     from bench.record.run_folder import REPORT
     from bench.solve.offline import calibrate_paths
     from bench.solve.offline_folder import write_offline_results

@@ -29,7 +29,7 @@ from bench.commands.values import WholeNumber
 from bench.record.folder_lock import is_locked
 from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors
-from bench.run.status import Status, line_text, read_with_entries
+from bench.run.status import Status, head_lines, line_text, read_status, read_with_entries
 
 if TYPE_CHECKING:
     from bench.batch.batch_requests import Request
@@ -266,7 +266,6 @@ def _summarise(folder: Path) -> int:
 
 
 def _show_run(folder: Path) -> int:
-    from bench.run.status import read_status
     from bench.run.status import status_text as text_of
 
     status = read_status(folder)
@@ -310,8 +309,6 @@ def _follow(folder: Path, *, of_batch: bool) -> str:
 
 def _run_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
     """Yield a run's status; its head is new at the begin and at the end."""
-    from bench.run.status import head_lines
-
     advice = ""
     for now, lines in follow(folder, ticks=ticks):
         head, tail = head_lines(now), [now.advice]

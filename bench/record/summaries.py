@@ -84,15 +84,19 @@ class TotalsData(TypedDict):
 
 
 class AgreedData(TypedDict):
-    """One parameter of one camera in several runs (`bench.solve.agreement.Agreement`)."""
+    """One parameter of one camera in several runs (`bench.solve.agreement.agreement`)."""
 
     name: str
-    mean: float
-    sigma: float
-    coverage_factor: float
+    mean: float  # Weighted by 1 / sigma^2, in the parameter's unit
+    sigma: float  # Standard uncertainty of the mean
+    coverage_factor: float  # The largest of the runs
     expanded: float
+    # Birge ratio sqrt(chi^2 / (n - 1)) with what is not shared. It is about 1 if the runs scatter as their
+    # uncertainties predict, larger if the camera or the bench changed between runs, and smaller if what limits a run
+    # repeats in the next.
     birge: float
-    repeats: bool
+    repeats: bool  # Whether the runs agree far better than their uncertainties say
+    # For each run, its difference from the mean divided by the standard uncertainty of this difference.
     deviations: Sequence[float]
 
 

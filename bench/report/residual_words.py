@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bench.measure.view_picture import ViewPicture
 from bench.wording.target_words import TargetWords
-
-if TYPE_CHECKING:
-    from calib.arrays import Array
+from calib.arrays import Array
 
 _OUTER, _INNER = 0.8, 0.5
 """Parts of the largest distance from the principal point: beyond the first is the rim, within the second the middle."""
@@ -29,8 +28,6 @@ def direction_text(views: Sequence[ViewPicture], image_size: Sequence[int]) -> s
 
     Of n independent residuals, the mean of each coordinate has the standard deviation of one over the root of n.
     """
-    import numpy as np
-
     points, residuals = _points_and_residuals(views)
     part = np.clip((3 * points / np.asarray(image_size)).astype(int), 0, 2)
     found = []
@@ -53,8 +50,6 @@ def direction_text(views: Sequence[ViewPicture], image_size: Sequence[int]) -> s
 
 def _points_and_residuals(views: Sequence[ViewPicture]) -> tuple[Array, Array]:
     """Return the stars of all views and their residuals, (N, 2) px each."""
-    import numpy as np
-
     none = np.zeros((0, 2))
     return (
         np.concatenate([none, *(view.detected for view in views)]),
@@ -67,8 +62,6 @@ def rim_text(views: Sequence[ViewPicture], camera: Mapping[str, float], words: T
 
     The RMS of n residuals, two numbers each, has the relative standard deviation 1 / sqrt(4 n) (normal distribution).
     """
-    import numpy as np
-
     points, residuals = _points_and_residuals(views)
     squares = np.sum(residuals**2, axis=1)
     distance = np.linalg.norm(points - [camera["cx"], camera["cy"]], axis=1)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 from bench.base.errors import UsageError
 from bench.record.coverage import Estimate
@@ -21,51 +20,7 @@ _LOWEST_PERCENT = -2.326
 """The 1 % quantile of the normal distribution."""
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """One parameter in several runs."""
-
-    name: str
-    mean: float  # Weighted by 1 / sigma^2, in the parameter's unit
-    sigma: float  # Standard uncertainty of the mean
-    k: float  # Coverage factor: the largest of the runs
-    # Birge ratio sqrt(chi^2 / (n - 1)) with what is not shared. It is about 1 if the runs scatter as their
-    # uncertainties predict, larger if the camera or the bench changed between runs, and smaller if what limits a run
-    # repeats in the next.
-    birge: float
-    # For each run, its difference from the mean divided by the standard uncertainty of this difference.
-    deviations: Sequence[float]
-
-    @property
-    def repeats(self) -> bool:
-        """Whether the runs agree far better than their uncertainties say: their errors are then the same in each.
-
-        1 % of independent runs do: chi^2 quantile by Wilson and Hilferty, PNAS 17 (1931) 684.
-        """
-        freedom = len(self.deviations) - 1
-        step = 2.0 / (9.0 * freedom)
-        return self.birge**2 < max(0.0, 1.0 - step + _LOWEST_PERCENT * math.sqrt(step)) ** 3
-
-    @property
-    def expanded(self) -> float:
-        """Expanded uncertainty of the mean."""
-        return self.k * self.sigma
-
-    def to_dict(self) -> AgreedData:
-        """Return the parameter as JSON holds it."""
-        return {
-            "name": self.name,
-            "mean": self.mean,
-            "sigma": self.sigma,
-            "coverage_factor": self.k,
-            "expanded": self.expanded,
-            "birge": self.birge,
-            "repeats": self.repeats,
-            "deviations": list(self.deviations),
-        }
-
-
-def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
+def compare_runs(runs: Sequence[IndexedRun]) -> list[AgreedData]:
     """Compare every parameter that all runs estimated: two or more runs, of one camera and one model."""
     if len(runs) < 2:
         raise UsageError(
@@ -86,7 +41,7 @@ def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
     return agreements(runs)
 
 
-def agreements(runs: Sequence[IndexedRun]) -> list[Agreement]:
+def agreements(runs: Sequence[IndexedRun]) -> list[AgreedData]:
     """Return the agreement of every parameter that all runs estimated; none with fewer than two runs."""
     if len(runs) < 2:
         return []
@@ -98,7 +53,7 @@ def agreements(runs: Sequence[IndexedRun]) -> list[Agreement]:
     return [agreement(name, [run.parameters[name] for run in runs]) for name in shared]
 
 
-def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
+def agreement(name: str, runs: Sequence[Estimate]) -> AgreedData:
     """Compute the weighted mean and the Birge ratio of several values of one parameter.
 
     Birge ratio: Birge, Phys. Rev. 40 (1932) 207, with the part of each uncertainty that the runs do not share. Below 1,
@@ -109,12 +64,12 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
 
     >>> alone = [Estimate(9.0, 1.0), Estimate(11.0, 1.0), Estimate(10.0, 1.0)]
     >>> agreed = agreement("fx", alone)
-    >>> agreed.mean, round(agreed.sigma, 4), round(agreed.birge, 4)
+    >>> agreed["mean"], round(agreed["sigma"], 4), round(agreed["birge"], 4)
     (10.0, 0.5774, 1.0)
-    >>> [round(d, 4) for d in agreed.deviations]
+    >>> [round(d, 4) for d in agreed["deviations"]]
     [-1.2247, 1.2247, 0.0]
     >>> shared = [run._replace(sigma=1.25, shared=0.75) for run in alone]
-    >>> round(agreement("fx", shared).sigma ** 2, 4) == round(1.0 / 3.0 + 0.75**2, 4)
+    >>> round(agreement("fx", shared)["sigma"] ** 2, 4) == round(1.0 / 3.0 + 0.75**2, 4)
     True
     """
     weights = [1.0 / run.sigma**2 for run in runs]
@@ -135,7 +90,26 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
         for w, run, variance in zip(weights, runs, own, strict=True)
     ]
     sigma = math.sqrt((1.0 - repeated) * averaged + carried**2)
-    return Agreement(name, mean, sigma, max(run.k for run in runs), birge, deviations)
+    k = max(run.k for run in runs)
+    return {
+        "name": name,
+        "mean": mean,
+        "sigma": sigma,
+        "coverage_factor": k,
+        "expanded": k * sigma,
+        "birge": birge,
+        "repeats": _repeats(birge, len(runs) - 1),
+        "deviations": deviations,
+    }
+
+
+def _repeats(birge: float, freedom: int) -> bool:
+    """Return whether runs agree far better than their uncertainties say: their errors are then the same in each.
+
+    1 % of independent runs do: chi^2 quantile by Wilson and Hilferty, PNAS 17 (1931) 684.
+    """
+    step = 2.0 / (9.0 * freedom)
+    return birge**2 < max(0.0, 1.0 - step + _LOWEST_PERCENT * math.sqrt(step)) ** 3
 
 
 def by_camera(runs: Iterable[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:

@@ -109,11 +109,3 @@ class Order(Sent):
     def for_driver(self) -> of.Exchange:
         """Return the command for the driver."""
         return self._with(self.reply)
-
-
-class Command(Order):
-    """A command to the whole device."""
-
-
-class Identity(Query):
-    """A query whose answer never changes."""

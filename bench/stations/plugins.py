@@ -125,17 +125,10 @@ def _unfit(kind: Kind, name: str, section: Any) -> str:
         return f"{section!r} is not a class that derives from {listed}"
     if _driver_names(section) != (name,):
         return f"its key driver must be Literal[{name!r}], the name of the entry point"
-    if missing := _unwritten(section, bases):
+    if missing := sorted(section.__abstractmethods__):
         return f"it does not implement {', '.join(missing)}"
     section.model_json_schema()  # a field without a schema shows here, not in the middle of a run
     return ""
-
-
-def _unwritten(section: type[Any], bases: tuple[type[Any], ...]) -> list[str]:
-    """Return the methods of the bases that a class must write itself, and does not."""
-    base = next(base for base in bases if issubclass(section, base))
-    needed = ["open_device"] if EventCameraSection in bases else ["open_device", "ports"]
-    return [name for name in needed if getattr(section, name) is getattr(base, name)]
 
 
 def _driver_names(section: type[BaseModel]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -92,17 +92,6 @@ class AxisConfig(StrictModel):
         return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
 
-class LineParameters(TypedDict):
-    """How a driver opens a serial line, as its parameters."""
-
-    baudrate: int | None  # None, of all four: as the controller's family has it
-    rtscts: bool | None
-    frame: str | None
-    xonxoff: bool | None
-    clock: Clock
-    wire_log: WireLog | None
-
-
 class SerialLine(StrictModel):
     """Keys of a serial line that every driver with one port has; each driver has its own baud rate."""
 
@@ -113,21 +102,10 @@ class SerialLine(StrictModel):
     xonxoff: bool | None = None
     """Whether the bytes XON and XOFF hold the sender. Default: false."""
 
-    if TYPE_CHECKING:
-
-        @property
-        def baudrate(self) -> int | None: ...  # noqa: D102 - a key
-
-    def line(self, clock: Clock, wire_log: WireLog | None) -> LineParameters:
-        """Return how the driver opens the line, as its parameters by name."""
-        return {
-            "baudrate": self.baudrate,
-            "rtscts": self.rtscts,
-            "frame": self.frame,
-            "xonxoff": self.xonxoff,
-            "clock": clock,
-            "wire_log": wire_log,
-        }
+    def line(self, clock: Clock, wire_log: WireLog | None) -> dict[str, Any]:
+        """Return how the driver opens the line, by name; None is what the controller's family has."""
+        keys = ("baudrate", "rtscts", "frame", "xonxoff")
+        return {key: getattr(self, key) for key in keys} | {"clock": clock, "wire_log": wire_log}
 
 
 class _Section(StrictModel):

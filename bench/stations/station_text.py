@@ -44,16 +44,6 @@ PROTOCOL_COPIES: Final = {"stage": "protocol-stage.yaml", "light": "protocol-lig
 D = TypeVar("D", bound=Described)
 
 
-def read_stage_protocol(path: Path) -> Located[StageProtocol]:
-    """Read the description of a stage."""
-    return read_document(path, StageProtocol)
-
-
-def read_light_protocol(path: Path) -> Located[LightProtocol]:
-    """Read the description of a light."""
-    return read_document(path, LightProtocol)
-
-
 def find_description(name_or_path: str, folder: Path | None) -> Path:
     """Find a description by its shipped name or a path from ``folder`` (None: the cwd); the error lists the names."""
     path = Path(name_or_path)
@@ -80,6 +70,8 @@ class TextAxisConfig(AxisConfig):
 class _DescribedSection(SerialLine, Generic[D]):
     """What the sections of a stage and of a light share whose text protocol a file describes."""
 
+    form: ClassVar[type[Any]]
+    """Form of the description."""
     protocol: Annotated[str, Field(min_length=1, max_length=1000)]
     """Name of a shipped description, or path of a file, relative to the station file."""
     port: Port
@@ -107,13 +99,9 @@ class _DescribedSection(SerialLine, Generic[D]):
         """Maker and serial number."""
         return (f"{self.described.maker} {self.serial}",) if self.serial else ()
 
-    @staticmethod
-    def _reads(path: Path) -> Located[Any]:
-        raise NotImplementedError(path)
-
     def use(self, path: Path) -> None:
         """Read the description from a file."""
-        self._read = self._reads(path)
+        self._read = read_document(path, self.form)
 
     def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
         """Yield key and message of each fault of this section against its description."""
@@ -124,9 +112,9 @@ class _DescribedSection(SerialLine, Generic[D]):
 class TextStageConfig(_DescribedSection[StageProtocol], AnyStage):
     """One to three rotary axes on a controller whose text protocol a file describes."""
 
+    form = StageProtocol
     driver: Literal["text"]
     axes: Annotated[dict[Axis, TextAxisConfig], Field(min_length=1, max_length=3), differing("address")]
-    _reads = staticmethod(read_stage_protocol)
 
     def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
         """See `_DescribedSection.misfits`."""
@@ -154,12 +142,12 @@ class TextStageConfig(_DescribedSection[StageProtocol], AnyStage):
 class TextLightConfig(_DescribedSection[LightProtocol], AnyLight):
     """A light whose text protocol a file describes."""
 
+    form = LightProtocol
     driver: Literal["text"]
     frequency_range_hz: tuple[Hertz, Hertz] = (1.0, 1_000.0)
     sync_output: bool = True
     full_percent: Annotated[float, Within(0.01, 1000, "%")] = 100.0
     """Level of the light at level 100 %."""
-    _reads = staticmethod(read_light_protocol)
 
     def misfits(self) -> Iterator[tuple[DocumentPath, str]]:
         """See `_DescribedSection.misfits`."""

@@ -10,8 +10,6 @@ from pydantic import Field, model_validator
 
 from bench.stations.described_exchanges import (
     ADDRESS,
-    Command,
-    Identity,
     LineText,
     Order,
     Query,
@@ -148,7 +146,7 @@ class Described(StrictModel):
     maker: Text
     model: Text
     line: LineConfig
-    identity: Identity
+    identity: Query
     serial: SerialQuery | None = None
     refusals: Annotated[tuple[RefusalConfig, ...], Field(max_length=20)] = ()
     notices: Annotated[tuple[NoticeConfig, ...], Field(max_length=20)] = ()
@@ -264,8 +262,8 @@ class LightProtocol(Described):
     """The description of a light."""
 
     format: Literal["starbench/light-protocol/1"]
-    on: Command
-    off: Command
+    on: Order
+    off: Order
     output: StateQuery
     faults: StateQuery | None = None
     settings: Annotated[list[LightSettingConfig], Field(min_length=1, max_length=20)]
@@ -321,10 +319,6 @@ class _Motion(_AxisCommand):
         return self
 
 
-class _Home(_Motion):
-    """The search of the reference of an axis."""
-
-
 class _Move(_Motion):
     """A move to an absolute position, which stands as ``{target:...}`` in counts."""
 
@@ -373,7 +367,7 @@ class AxisProtocol(StrictModel):
     move: _Move
     start: _AxisCommand | None = None
     """Starts the move, where `move` sets the target alone."""
-    home: _Home
+    home: _Motion
     at_home: float | None = None
     """Counts at which a finished search of the reference leaves the axis."""
     encoder: _AxisQuery | None = None
@@ -394,7 +388,7 @@ class StageProtocol(Described):
 
     format: Literal["starbench/stage-protocol/1"]
     stop: _AxisCommand
-    modes: Annotated[tuple[Command, ...], Field(max_length=20)] = ()
+    modes: Annotated[tuple[Order, ...], Field(max_length=20)] = ()
     """Commands that undo modes of another program; sent between stops, before settings."""
     axis: AxisProtocol
 

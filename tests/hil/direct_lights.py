@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.stations.station_text import find_description, read_light_protocol
+from bench.stations.station_text import find_description
+from bench.stations.text_descriptions import LightProtocol
 from drivers.light import Light
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from drivers.light.text import TextLight
+from sequences.reader import read_document
 from simulators.assembly import make_light
 from simulators.config import LightConfig
 from simulators.faults.line_faults import FaultLine
@@ -35,7 +37,9 @@ class DirectLight:
         order_fault("light", self.line, f"light {text}", {}, self.driver, self.lamp)
 
 
-MICROCONTROLLER = read_light_protocol(find_description("microcontroller_light", None)).value.for_driver()
+MICROCONTROLLER = read_document(
+    find_description("microcontroller_light", None), LightProtocol
+).value.for_driver()
 
 OPENED: dict[str, Callable[..., Light]] = {
     "keysight": lambda line, clock: ScpiLight(line, serial="SG0042", clock=clock),

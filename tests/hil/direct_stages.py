@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.stations.station_text import find_description, read_stage_protocol
+from bench.stations.station_text import find_description
+from bench.stations.text_descriptions import StageProtocol
 from drivers.errors import DriverError, MoveFailed, PortLost, ReplyError
 from drivers.stage import AxisLimits, Stage
 from drivers.stage.esp import EspAxis, EspStage
@@ -21,6 +22,7 @@ from drivers.stage.text import TextAxis, TextStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
+from sequences.reader import read_document
 from simulators.assembly import make_stage
 from simulators.config import AxisConfig, bench_config
 from simulators.faults.catalogue import fault_order_from_text
@@ -240,7 +242,7 @@ def stop_in_mid_move(
     return caught.value
 
 
-FLIR_PTU = read_stage_protocol(find_description("flir_ptu", None)).value.for_driver()
+FLIR_PTU = read_document(find_description("flir_ptu", None), StageProtocol).value.for_driver()
 K10CR1_COUNTS_PER_DEG = 409_600 / 3
 PRM1Z8_COUNTS_PER_DEG = 1919.6418578623391
 PAN = {"name": "pan", "limits": LIMITS}

@@ -2,15 +2,16 @@
 
 import pytest
 
-from bench.stations.station_text import read_light_protocol
+from bench.stations.text_descriptions import LightProtocol
 from drivers.errors import SettingRefused
 from drivers.light import LightSettings
 from drivers.light.text import TextLight
+from sequences.reader import read_document
 from tests.hil.text_wire import LINES, Wire, described
 
 
 def test_an_echo_and_a_prompt_around_an_answer_are_described(clock) -> None:
-    protocol = read_light_protocol(described("mc2000b")).value.for_driver()
+    protocol = read_document(described("mc2000b"), LightProtocol).value.for_driver()
     wire, known = (
         Wire(clock, LINES),
         {"id": "MC2000B Ver 1.0.10", "enable": "0", "freq": "20", "oncycle": "50"},
@@ -33,7 +34,7 @@ def test_an_echo_and_a_prompt_around_an_answer_are_described(clock) -> None:
 
 
 def test_a_generator_may_read_back_in_other_units_than_it_is_set(clock) -> None:
-    protocol = read_light_protocol(described("fy6900")).value.for_driver()
+    protocol = read_document(described("fy6900"), LightProtocol).value.for_driver()
     wire = Wire(clock, LINES)
     answers = {
         "UMO": "FY6900-60M",
@@ -68,7 +69,7 @@ def test_a_generator_may_read_back_in_other_units_than_it_is_set(clock) -> None:
 
 
 def test_settings_of_a_light_that_answers_queries_alone_are_read_back(clock) -> None:
-    protocol = read_light_protocol(described("dc2100")).value.for_driver()
+    protocol = read_document(described("dc2100"), LightProtocol).value.for_driver()
     wire = Wire(clock, LINES)
     known = {
         "M": "0",

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.stations.station_text import read_stage_protocol
+from bench.stations.text_descriptions import StageProtocol
 from drivers.errors import DeviceRefused, DriverError, MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
+from sequences.reader import read_document
 from tests.hil.direct_stages import VirtualClock
 from tests.hil.text_wire import LINES, SPEED, Motor, Wire, described
 
@@ -17,7 +18,7 @@ def opened(
     wire: Wire, description: Path, *axes: tuple[str, float], serial: str = "", **limits: float
 ) -> TextStage:
     """Open a stage of these axes: addresses and counts per degree."""
-    protocol = read_stage_protocol(description).value.for_driver()
+    protocol = read_document(description, StageProtocol).value.for_driver()
     limit = AxisLimits(
         **{"lowest_deg": -15.0, "highest_deg": 15.0, "speed_deg_s": SPEED, "acceleration_deg_s2": 1e3}
         | limits

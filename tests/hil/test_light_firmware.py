@@ -11,16 +11,18 @@ from pathlib import Path
 
 import pytest
 
-from bench.stations.station_text import find_description, read_light_protocol
+from bench.stations.station_text import find_description
+from bench.stations.text_descriptions import LightProtocol
 from drivers.clock import SystemClock
 from drivers.errors import DeviceRefused, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.text import TextLight
+from sequences.reader import read_document
 from simulators.lights.microcontroller import MicrocontrollerLight
 
 HERE = Path(__file__).parent / "firmware_stub"
 FIRMWARE = Path(__file__).parents[2] / "firmware" / "starbench_light"
-DESCRIPTION = read_light_protocol(find_description("microcontroller_light", None)).value.for_driver()
+DESCRIPTION = read_document(find_description("microcontroller_light", None), LightProtocol).value.for_driver()
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++ on this computer")
 

@@ -4,11 +4,12 @@ import re
 
 import pytest
 
-from bench.stations.station_text import read_stage_protocol
+from bench.stations.text_descriptions import StageProtocol
 from drivers.described.line import DescribedLine
 from drivers.errors import DriverError
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
+from sequences.reader import read_document
 from tests.hil.direct_stages import VirtualClock
 from tests.hil.text_wire import LINES, SPEED, Motor, Wire, described
 
@@ -52,7 +53,7 @@ def opened() -> tuple[TextStage, Wire, Motor]:
     wire, motor = vxm(VirtualClock())
     limits = AxisLimits(-15.0, 15.0, SPEED, 1e3)
     axis = TextAxis(name="pan", limits=limits, address="X", counts_per_deg=SCALE, tolerance_deg=0.01)
-    protocol = read_stage_protocol(described("vxm")).value.for_driver()
+    protocol = read_document(described("vxm"), StageProtocol).value.for_driver()
     return TextStage(wire, [axis], protocol, clock=wire.clock), wire, motor
 
 
@@ -111,6 +112,6 @@ def test_a_device_that_never_ends_a_reply_is_refused(monkeypatch) -> None:
     wire, _ = vxm(VirtualClock())
     wire.unasked = lambda: "0123456789" * 50
     axis = TextAxis(name="pan", limits=AxisLimits(-15.0, 15.0, SPEED, 1e3), address="X", counts_per_deg=80.0)
-    protocol = read_stage_protocol(described("vxm")).value.for_driver()
+    protocol = read_document(described("vxm"), StageProtocol).value.for_driver()
     with pytest.raises(DriverError, match=r"without pause|as described|not a reply"):
         TextStage(wire, [axis], protocol, clock=wire.clock)

@@ -27,9 +27,9 @@ from bench.record.coverage import REPEATS_TEXT
 from bench.record.run_facts import IndexedRun
 from bench.record.run_index import RunIndex
 from bench.record.storage import write_atomic
-from bench.record.summaries import ChartGroupData, drifts, has_limits
+from bench.record.summaries import AgreedData, ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
-from bench.solve.agreement import Agreement, compare_runs
+from bench.solve.agreement import compare_runs
 from bench.wording.numbers import plus_minus, with_uncertainty
 
 _MOST_GROUPS = 12
@@ -94,7 +94,7 @@ def _show_agreement(merged: MergedRuns) -> int:
     show(
         lambda: {
             "schema": "starbench/agreement/1",
-            "compared": [agreement.to_dict() for agreement in compared],
+            "compared": compared,
             "of": [run.folder for run in solved],
             "faults": merged.faults,
             "notes": merged.notes,
@@ -206,16 +206,17 @@ def signed(number: float) -> str:
     return "0.00" if float(text) == 0 else text
 
 
-def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> Iterator[str]:
+def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[AgreedData]) -> Iterator[str]:
     head = f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model."
     yield f"{head} ± is the expanded uncertainty U (about 95 %), with the k of the report."
     for parameter in compared:
-        mean = plus_minus(parameter.mean, parameter.expanded)
-        yield f"{parameter.name}: mean {mean} (k = {parameter.k:.2f}), Birge ratio {parameter.birge:.2f}"
-        if parameter.repeats:
+        name, k = parameter["name"], parameter["coverage_factor"]
+        mean = plus_minus(parameter["mean"], parameter["expanded"])
+        yield f"{name}: mean {mean} (k = {k:.2f}), Birge ratio {parameter['birge']:.2f}"
+        if parameter["repeats"]:
             yield f"  {REPEATS_TEXT}"
-        for run, deviation in zip(runs, parameter.deviations, strict=True):
-            estimate = run.parameters[parameter.name]
+        for run, deviation in zip(runs, parameter["deviations"], strict=True):
+            estimate = run.parameters[name]
             value, own = with_uncertainty(estimate.value, estimate.expanded)
             begun = run.begun_utc[:16].replace("T", " ")
             yield (

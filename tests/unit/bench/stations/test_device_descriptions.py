@@ -11,10 +11,10 @@ from bench.stations.station_text import (
     SHIPPED_DESCRIPTIONS,
     description_documents,
     find_description,
-    read_light_protocol,
-    read_stage_protocol,
 )
+from bench.stations.text_descriptions import LightProtocol, StageProtocol
 from sequences.errors import DocumentFaults
+from sequences.reader import read_document
 
 PTU = (SHIPPED_DESCRIPTIONS / "flir_ptu.yaml").read_text()
 LIGHT = (SHIPPED_DESCRIPTIONS / "microcontroller_light.yaml").read_text()
@@ -34,9 +34,9 @@ camera: {driver: metavision, serial: 00051234}
 """
 
 
-def faults_of(path: Path, read=read_stage_protocol) -> str:
+def faults_of(path: Path, form=StageProtocol) -> str:
     with pytest.raises(DocumentFaults) as caught:
-        read(path)
+        read_document(path, form)
     return str(caught.value)
 
 
@@ -48,8 +48,8 @@ def station_with(folder: Path, old: str, new: str):
 
 @pytest.mark.parametrize("path", sorted(SHIPPED_DESCRIPTIONS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_shipped_description_is_read(path) -> None:
-    read = read_light_protocol if "light-protocol" in path.read_text() else read_stage_protocol
-    assert read(path).value.for_driver().line.maker
+    form = LightProtocol if "light-protocol" in path.read_text() else StageProtocol
+    assert read_document(path, form).value.for_driver().line.maker
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_lights_faults_are_named_too(tmp_path, old, new, fault) -> None:
     assert old in LIGHT
     path = tmp_path / "mine.yaml"
     path.write_text(LIGHT.replace(old, new, 1))
-    assert fault in faults_of(path, read_light_protocol)
+    assert fault in faults_of(path, LightProtocol)
 
 
 def test_a_missing_shipped_description_is_named() -> None:
