@@ -46,28 +46,21 @@ def kernel_sources() -> Iterator[Path]:
     return (source for package in _PACKAGES_WITH_KERNELS for source in (_ROOT / package).rglob("*.py"))
 
 
-def remove_stale_kernels(root: Path = _ROOT) -> int:
-    """Remove compiled kernels older than their folder's source files, so that none is loaded; return how many.
+def remove_stale_kernels(root: Path = _ROOT) -> None:
+    """Remove compiled kernels older than a source file of their folder, so that none is loaded.
 
     numba's own test fails at a class that was renamed, and misses a change of another compiled function that is called.
     """
-    removed = 0
-    folders = [root / package for package in _PACKAGES_WITH_KERNELS]
-    for cache in (cache for folder in folders for cache in folder.glob("**/__pycache__")):
-        indexes = list(cache.glob("*.nbi"))
-        sources = cache.parent.glob("*.py") if indexes else ()
+    for cache in (
+        cache for package in _PACKAGES_WITH_KERNELS for cache in (root / package).glob("**/__pycache__")
+    ):
+        kernels = list(cache.glob("*.nb[ic]"))
+        sources = cache.parent.glob("*.py") if kernels else ()
         newest = max((source.stat().st_mtime for source in sources), default=0.0)
-        for index in indexes:
+        for kernel in kernels:
             with suppress(OSError):
-                orphaned = not (cache.parent / f"{index.name.partition('.')[0]}.py").exists()
-                if orphaned or index.stat().st_mtime < newest:
-                    index.unlink()
-                    removed += 1
-        for code in cache.glob("*.nbc"):  # numba writes the index first; x-1.py311.nbi names x-1.py311.1.nbc
-            if not code.with_suffix("").with_suffix(".nbi").exists():
-                with suppress(OSError):
-                    code.unlink()
-    return removed
+                if kernel.stat().st_mtime < newest:
+                    kernel.unlink()
 
 
 def _user_cache(environ: Mapping[str, str]) -> Path:

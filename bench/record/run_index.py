@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
-from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -37,26 +36,26 @@ from bench.record.stored_run import StoredRun
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 15  # One more whenever tables or facts change
+VERSION = 16  # One more whenever tables or facts change
 COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _ASKED_AT_ONCE = 500
 """Folders in one question to the index: any SQLite takes 999 values."""
 _SCHEMA = f"""
-CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT,
-    parameters TEXT) WITHOUT ROWID;
+CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT)
+    WITHOUT ROWID;
 CREATE TABLE details (folder TEXT PRIMARY KEY, journal TEXT, whole TEXT) WITHOUT ROWID;
 CREATE TABLE states (folder TEXT PRIMARY KEY, stamp TEXT, state TEXT) WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
 """
-"""``found`` holds `run_facts` as JSON, ``parameters`` its parameters, ``journal`` the `journal_details`, and ``whole``
+"""``found`` holds `run_facts` as JSON, ``journal`` the `journal_details`, and ``whole``
 these with the results, once somebody has asked for them; ``stamp`` tells which files they were read from. States have a
 stamp of their own."""
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
 
 
 # Paths as text: a list has ten thousand of them, and the methods of ``Path`` take several times as long.
-_exists, _stat, _is_link = os.path.exists, os.stat, os.path.islink
+_exists, _stat = os.path.exists, os.stat
 
 
 def is_batch(folder: Path) -> bool:
@@ -97,26 +96,6 @@ def _with_journal(folder: str, levels: int) -> Iterator[str]:
                     yield from _with_journal(entry.path, levels - 1)
 
 
-class _KeptParameters(Mapping[str, Estimate]):
-    """The parameters of a run, read from the index when somebody asks: a list of ten thousand runs shows none."""
-
-    def __init__(self, packed: str) -> None:
-        self._packed = packed
-
-    @cached_property
-    def _estimates(self) -> dict[str, Estimate]:
-        return {name: Estimate(*numbers) for name, numbers in json.loads(self._packed).items()}
-
-    def __getitem__(self, name: str) -> Estimate:
-        return self._estimates[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._estimates)
-
-    def __len__(self) -> int:
-        return len(self._estimates)
-
-
 class RunIndex:
     """The index. Every method opens the file anew, because other processes use it too."""
 
@@ -140,7 +119,7 @@ class RunIndex:
         how many more runs are listed, again and again.
         """
         indexed, faults = [], []
-        wanted = _resolved(folders)
+        wanted = list(dict.fromkeys(map(os.path.realpath, folders)))
         with self._open() as index:
             kept = {row[0]: row[1:] for row in _rows(index, "runs", wanted)}
             for place, folder in enumerate(wanted):
@@ -253,21 +232,6 @@ def _connect(path: Path) -> sqlite3.Connection:
     return index
 
 
-def _resolved(folders: Iterable[Path]) -> list[str]:
-    """Return folders without links, each once. The folder around each is resolved once: runs lie side by side."""
-    around: dict[str, str] = {}
-    resolved: dict[str, None] = {}
-    for folder in map(str, folders):
-        before, slash, name = folder.rpartition(os.sep)
-        if not slash or not name or name == ".." or _is_link(folder):
-            resolved[os.path.realpath(folder)] = None
-            continue
-        if before not in around:
-            around[before] = os.path.realpath(before or os.sep).rstrip(os.sep)
-        resolved[f"{around[before]}{os.sep}{name}"] = None
-    return list(resolved)
-
-
 def _rows(index: sqlite3.Connection, table: str, folders: Iterable[str]) -> Iterator[Sequence[Any]]:
     """Yield the rows of a table that folders have, many with each question."""
     left = iter(folders)
@@ -280,14 +244,14 @@ def _run(index: sqlite3.Connection, folder: str, kept: Sequence[Any] | None) -> 
     """Return the row of a run; it is made anew if the journal, the results or the folder have changed."""
     stamp = _stamp(folder)
     if kept is not None and kept[0] == stamp:
-        run = IndexedRun(**json.loads(kept[-2]), parameters=_KeptParameters(kept[-1]))
+        facts = json.loads(kept[-1])
+        estimates = {name: Estimate(*numbers) for name, numbers in facts.pop("parameters").items()}
+        run = IndexedRun(**facts, parameters=estimates)
         return run if run.how else _as_it_is_now(run)
     run, details = _read(Path(folder))
     run = replace(run, sealed=is_sealed(Path(folder)))
-    facts, parameters = {**vars(run)}, _packed(run.parameters)
-    del facts["parameters"]
-    row = (folder, stamp, run.id, run.ledger_number, run.ledger_head, _packed(facts), parameters)
-    index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?, ?)", row)
+    row = (folder, stamp, run.id, run.ledger_number, run.ledger_head, _packed(vars(run)))
+    index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
     index.execute("INSERT OR REPLACE INTO details VALUES (?, ?, NULL)", (folder, _packed(details)))
     return run if run.how else _as_it_is_now(run)
 
