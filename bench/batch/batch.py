@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import ParamSpec
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import BenchError, RunFolderError, ScriptError, UsageError
@@ -93,10 +93,9 @@ class Batch:
         try:
             self._keep_queue()
             path = self.folder / JOURNAL
-            clocks: dict[str, Any] = {"utc_now": self._clock.utc_now, "monotonic": self._clock.monotonic}
             kind = UnsyncedJournal if self._rehearsal else Journal
             opened = kind.open if path.exists() else kind.create
-            with opened(path, **clocks) as journal:
+            with opened(path, self._clock) as journal:
                 self._journal = journal
                 self._run_locked()
             return write_summary(self.folder, self._record)

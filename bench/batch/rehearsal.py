@@ -181,14 +181,13 @@ def rehearse_job(
 ) -> RunEnd:
     """Rehearse a task on given devices as `rehearse_run`; the kind ``Journal`` stores it as durably as a real run."""
     clock = job.clock
-    clocks: dict[str, Any] = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}
     begun = (folder / JOURNAL).exists()
     with RunFolder.open(folder) if begun else RunFolder.create(folder) as held:
         if not begun:
             for name, text in documents_of(job.plan).items():
                 held.write_atomic(name, text)
         opened = journal_type.open if begun else journal_type.create
-        with opened(held.journal_path, **clocks) as journal:
+        with opened(held.journal_path, clock) as journal:
             if begun and replay(journal.entries).ended == "finished":
                 return RunEnd("finished", "", held.path, None)
             _journal_begin(journal, job, held, again=begun)

@@ -64,7 +64,7 @@ def find_runs(choice: RunChoice) -> MergedRuns:
     home, clock = home_folder(), BenchClock()
 
     def source(folder: Path, *, required: bool) -> LedgerSource:
-        ledger = Ledger(folder, utc_now=clock.utc_now, monotonic=clock.monotonic)
+        ledger = Ledger(folder, clock)
         return read_source(ledger, required=required)
 
     named = [source(folder, required=True) for folder in choice.ledgers]

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Self
 
 from bench.base.bounded_json import parse_json
+from bench.base.clock import BenchClock
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
 from bench.record.journal_line import FIRST_PREV, OWN_KEYS, Entry, decode_line, encode_line
 from bench.record.storage import open_to_read, storage_errors
@@ -38,28 +39,19 @@ CAPTURE_STORED = "capture_stored"
 class Journal:
     """A journal that is open for appending, by several threads; ``torn`` is the incomplete last line it removed."""
 
-    def __init__(
-        self,
-        path: Path,
-        entries: list[Entry],
-        torn: bytes,
-        *,
-        utc_now: Callable[[], datetime],
-        monotonic: Callable[[], float],
-    ) -> None:
+    def __init__(self, path: Path, entries: list[Entry], torn: bytes, clock: BenchClock) -> None:
         self.path = path
         self.torn = torn
         """Bytes of an incomplete last line that ``open`` has removed; empty when there was none."""
         self._entries = entries
-        self._utc_now = utc_now
-        self._monotonic = monotonic
+        self._clock = clock
         self._clock_offset_s: float | None = None
         self._lock = threading.RLock()
         with storage_errors(path):
             self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | O_BINARY)
 
     @classmethod
-    def create(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
+    def create(cls, path: Path, clock: BenchClock) -> Self:
         """Make a new journal, without lines. Raises RunFolderError when the file exists already."""
         with storage_errors(path):
             try:
@@ -69,16 +61,16 @@ class Journal:
                     "A journal exists already.", where=str(path), remedy="Resume that run."
                 ) from None
             sync_folder(path.parent)
-        return cls(path, [], b"", utc_now=utc_now, monotonic=monotonic)
+        return cls(path, [], b"", clock)
 
     @classmethod
-    def open(cls, path: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]) -> Self:
+    def open(cls, path: Path, clock: BenchClock) -> Self:
         """Open a journal to continue: verify it, remove an incomplete last line; `JournalBroken` changes nothing."""
         entries, torn = read_journal(path)
         if torn:
             with storage_errors(path):
                 os.truncate(path, path.stat().st_size - len(torn))
-        return cls(path, entries, torn, utc_now=utc_now, monotonic=monotonic)
+        return cls(path, entries, torn, clock)
 
     @property
     def entries(self) -> Sequence[Entry]:
@@ -128,7 +120,7 @@ class Journal:
     def put(self, event: str, data: Mapping[str, Any], *, synced: bool) -> Entry:
         """Write a line, as `append`; one that is not ``synced`` survives the process, but a power cut may remove it."""
         with self._lock:
-            now, mono_s = self._utc_now(), self._monotonic()
+            now, mono_s = self._clock.utc_now(), self._clock.monotonic()
             jump_s = self._clock_jump_s(now, mono_s)
             if abs(jump_s) > CLOCK_JUMP_S:
                 self._append(now, mono_s, CLOCK_JUMPED, {"jump_s": round(jump_s, 3)}, synced=synced)

@@ -7,15 +7,14 @@ that lines removed from the end are noticed. Certificates take their numbers fro
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, EvidenceError, JournalBroken, UsageError
 from bench.base.home import home_folder
 from bench.record.events import LedgerPlace
@@ -72,13 +71,11 @@ class Ledger:
     ``warnings`` tell what of its own mark could not be written by the last call; nothing was stopped by it.
     """
 
-    def __init__(
-        self, home: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]
-    ) -> None:
+    def __init__(self, home: Path, clock: BenchClock) -> None:
         self.home = home
         self.path = home / LEDGER
         self.warnings: list[str] = []
-        self._clocks: dict[str, Any] = {"utc_now": utc_now, "monotonic": monotonic}
+        self._clock = clock
         self._kept = _Read((), [])
 
     def entries(self) -> list[Entry]:
@@ -125,7 +122,7 @@ class Ledger:
     def _opened(self) -> Iterator[Journal]:
         """Open the ledger for writing; the bench's own mark follows each new head."""
         opener = Journal.open if self.path.exists() else Journal.create
-        with opener(self.path, **self._clocks) as journal:
+        with opener(self.path, self._clock) as journal:
             before = journal.head
             try:
                 yield journal
@@ -293,8 +290,8 @@ class Ledger:
 
     def _set_aside(self) -> str:
         """Rename a damaged ledger; return its new name and its hash."""
-        now: datetime = self._clocks["utc_now"]()
-        kept = self.path.with_name(f"ledger-broken-{now.astimezone(UTC):%Y%m%dT%H%M%S%f}Z.jsonl")
+        now = self._clock.utc_now()
+        kept = self.path.with_name(f"ledger-broken-{now:%Y%m%dT%H%M%S%f}Z.jsonl")
         with storage_errors(self.path):
             self.path.rename(kept)
             sync_folder(self.home)
@@ -309,4 +306,4 @@ def refuse(faults: Sequence[str], path: Path) -> None:
 
 def bench_ledger() -> Ledger:
     """Return the ledger of this bench, for reading; its file may not exist."""
-    return Ledger(home_folder(), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)
+    return Ledger(home_folder(), BenchClock())

@@ -143,9 +143,7 @@ def start_run(
         place = enter_in_ledger(ledger, job, folder.path)
         with (
             ledger_entry(ledger, place, folder.path) as ending,
-            Journal.create(
-                folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
-            ) as journal,
+            Journal.create(folder.journal_path, launch.clock) as journal,
         ):
             journal.append(
                 Event.RUN_STARTED,
@@ -181,9 +179,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
     """
     with (
         RunFolder.open(folder_path) as folder,
-        Journal.open(
-            folder.journal_path, utc_now=launch.clock.utc_now, monotonic=launch.clock.monotonic
-        ) as journal,
+        Journal.open(folder.journal_path, launch.clock) as journal,
     ):
         job, history = job_of(folder.path, journal.entries)
         crash = read_crash(folder.path)

@@ -30,7 +30,7 @@ _NO_SECOND_PLACE = (
 
 def ledger_of(clock: BenchClock) -> Ledger:
     """Return the ledger of this bench; its file may not exist."""
-    return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
+    return Ledger(home_folder(), clock)
 
 
 def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:

@@ -11,11 +11,11 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 
 import measured
 
+from bench.base.clock import BenchClock
 from bench.base.home import home_folder
 from bench.extras.pages.panel.folder_list import FolderList
 from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, highest_run, write_own_mark
@@ -40,9 +40,7 @@ def make_home(home: Path, runs: list[Path]) -> None:
     """Make a configuration folder with the keys and the ledger of this bench, which then has the runs, too."""
     shutil.copytree(home_folder(), home, ignore=shutil.ignore_patterns("runs.sqlite3*", "kept-views"))
     seal = sha256_of(runs[0] / "SHA256SUMS")
-    with UnsyncedJournal.open(
-        home / "ledger.jsonl", utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic
-    ) as ledger:
+    with UnsyncedJournal.open(home / "ledger.jsonl", BenchClock()) as ledger:
         before = highest_run(ledger.entries)
         for number, run in enumerate(runs, 1 + before):
             facts = {"run": run.name, "folder": str(run), "camera": "1", "simulated": True}

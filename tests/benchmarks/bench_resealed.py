@@ -43,7 +43,7 @@ def main() -> int:
         run = make_run(folder, home)
         key, trusted = load_key(home), read_signers(home / "allowed_signers")
         job = Job.from_run_folder(run, seed=1, operator="Ada")
-        ledger = Ledger(home, utc_now=None, monotonic=None)
+        ledger = Ledger(home, None)
         for number, (name, attack) in enumerate(changes.items()):
             forger = Forger(copied(run, Path(place, str(number))), key)
             attack(forger, job)

@@ -76,7 +76,7 @@ def test_a_finished_batch_is_looked_at_summed_up_and_its_runs_are_listed(night):
 def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
     copyfile(night / "out" / QUEUE_COPY, tmp_path / QUEUE_COPY)
     clock = BenchClock()
-    with Journal.create(tmp_path / JOURNAL, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+    with Journal.create(tmp_path / JOURNAL, clock) as journal:
         journal.append(BatchEvent.BEGUN, queue="Night", files={})
     ended = called("tell", tmp_path, "add", night / "job.yaml", home=night / "home")
     assert "when it continues" in ended.stdout

@@ -4,16 +4,13 @@ import errno
 import os
 import shutil
 import subprocess
-import time
-from datetime import UTC, datetime
 
 import pytest
 
+from bench.base.clock import BenchClock
 from bench.base.errors import StorageError
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name, read_journal, stored_captures
 from bench.record.run_folder import RunFolder
-
-CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 
 
 @pytest.fixture
@@ -47,7 +44,7 @@ def record_until_full(folder, journal, first):
 
 def test_a_full_disk_loses_nothing_and_the_journal_still_tells_of_it(small_disk):
     path = small_disk / "run"
-    with RunFolder.create(path) as folder, Journal.create(folder.journal_path, **CLOCKS) as journal:
+    with RunFolder.create(path) as folder, Journal.create(folder.journal_path, BenchClock()) as journal:
         failed, error = record_until_full(folder, journal, 1)
         assert failed > 10
         assert isinstance(error, StorageError) or error.errno == errno.ENOSPC

@@ -17,24 +17,24 @@ from pathlib import Path
 import pytest
 from own_disk import Disk
 
+from bench.base.clock import BenchClock
 from bench.record.journal import Journal, read_journal, stored_captures
 from bench.record.recovery import recover
 from bench.record.run_folder import RunFolder
 
 WRITER = """
-import hashlib, sys, time
-from datetime import UTC, datetime
+import hashlib, sys
 from pathlib import Path
+from bench.base.clock import BenchClock
 from bench.record.journal import Journal
 from bench.record.journal import CAPTURE_STORED, capture_name
 from bench.record.recovery import recover
 from bench.record.run_folder import RunFolder
-clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 path = Path(sys.argv[1])
 NOTES = 5
 begun = (path / "journal.jsonl").exists()
 folder = RunFolder.open(path) if begun else RunFolder.create(path)
-journal = (Journal.open if begun else Journal.create)(folder.journal_path, **clocks)
+journal = (Journal.open if begun else Journal.create)(folder.journal_path, BenchClock())
 if begun:
     recover(folder, journal)
 pose = sum(e.event == CAPTURE_STORED for e in journal.entries)
@@ -88,7 +88,7 @@ def poses_on_disk(path):
     captures = stored_captures(entries)
     with (
         RunFolder.open(path) as folder,
-        Journal.open(folder.journal_path, utc_now=lambda: None, monotonic=lambda: 0.0) as journal,
+        Journal.open(folder.journal_path, BenchClock()) as journal,
     ):
         notes = recover(folder, journal)
     assert (notes["missing"], notes["changed"]) == ([], [])

@@ -124,7 +124,7 @@ from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
 clock = BenchClock()
 with RunFolder.create(Path(sys.argv[1])) as folder:
-    with Journal.create(folder.journal_path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+    with Journal.create(folder.journal_path, clock) as journal:
         heartbeat = HeartbeatWriter(folder.path, clock)
         with CommandInbox(folder.path, RunLog(journal), {}, clock, (heartbeat.beat,)):
             heartbeat.entering("recording")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -13,7 +12,7 @@ from typing import Any
 
 from quick_runs import write_queue
 
-from bench.base.clock import BenchClock
+from bench.base.clock import BenchClock, VirtualClock
 from bench.record.folder_lock import lock_folder
 from bench.record.journal import Journal
 from bench.record.journal_line import FIRST_PREV, decode_line, encode_line
@@ -21,7 +20,7 @@ from bench.record.run_log import RunLog
 from bench.run.control import CommandInbox
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
-CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+CLOCK = VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))
 """Of journals in which no time passes."""
 GATES = [
     {"name": "stars", "value": 200, "unit": "", "limit": ">= 40", "verdict": "pass"},
@@ -161,8 +160,7 @@ def at_work(run: MadeRun) -> Iterator[tuple[RunLog, BenchClock]]:
     lock = lock_folder(run.folder)
     clock = BenchClock()
     try:
-        clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
-        with Journal.open(run.path, **clocks) as journal:
+        with Journal.open(run.path, clock) as journal:
             log = RunLog(journal)
             poses = {n: f"pose {n}" for n in range(1, run.poses + 1)}
             with CommandInbox(run.folder, log, poses, clock):

@@ -7,6 +7,7 @@ states. Values of the parameters come from the caller.
 import hashlib
 import json
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 
 from bench.record.events import Event
 from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, write_own_mark
@@ -59,7 +60,8 @@ def write_run(
     folder.mkdir(parents=True)
     moments, seconds = iter(begun + timedelta(seconds=n) for n in range(10_000)), iter(range(10_000))
     with UnsyncedJournal.create(
-        folder / "journal.jsonl", utc_now=lambda: next(moments), monotonic=lambda: float(next(seconds))
+        folder / "journal.jsonl",
+        SimpleNamespace(utc_now=lambda: next(moments), monotonic=lambda: float(next(seconds))),
     ) as journal:
         journal.append(
             Event.RUN_STARTED, id=folder.name, sequence="Three poses", station=station,
@@ -107,7 +109,7 @@ class BenchOfRuns:
         self.home, self.runs, self.station, self.simulated = home, runs, station, simulated
         self.moment, self.number = BEGIN, 0
         self.journal = UnsyncedJournal.create(
-            home / "ledger.jsonl", utc_now=lambda: self.moment, monotonic=self._seconds
+            home / "ledger.jsonl", SimpleNamespace(utc_now=lambda: self.moment, monotonic=self._seconds)
         )
 
     def _seconds(self):

@@ -57,8 +57,7 @@ class Workers:
         word = worker_command(item, run)[0]
         self.begun.append((word, run.name, self.clock.now_s))
         if word == "run":
-            clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}
-            with RunFolder.create(run) as folder, Journal.create(folder.journal_path, **clocks) as journal:
+            with RunFolder.create(run) as folder, Journal.create(folder.journal_path, self.clock) as journal:
                 journal.append(Event.RUN_STARTED, id=run.name)
         self.clock.sleep(self.run_s)
         self.after(run)

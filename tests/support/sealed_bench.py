@@ -3,8 +3,10 @@
 import functools
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 from bench.base.bounded_json import canonical_json
+from bench.base.clock import VirtualClock
 from bench.evidence.keys import ensure_key
 from bench.evidence.seal import seal_folder
 from bench.record.journal import Journal
@@ -25,7 +27,7 @@ def sample_results():
 def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=None):
     """A sealed folder with the journal and the results of a run: what a certificate reads of one."""
     folder.mkdir(parents=True)
-    with Journal.create(folder / "journal.jsonl", utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+    with Journal.create(folder / "journal.jsonl", VirtualClock(NOW)) as journal:
         journal.append("run_started", id="run", simulated=True, **({"rehearsal": True} if rehearsal else {}))
         journal.append("run_ended", how=how, why="")
     stored = RESULTS.read_bytes() if results is None else canonical_json(results)
@@ -41,6 +43,6 @@ class SealedBench:
         self.path, self.now = path, NOW
         self.home = path / "home"
         self.run = write_sealed_run(path / "run", self.home)
-        self.ledger = Ledger(self.home, utc_now=lambda: self.now, monotonic=lambda: 0.0)
+        self.ledger = Ledger(self.home, SimpleNamespace(utc_now=lambda: self.now, monotonic=lambda: 0.0))
         place = self.ledger.begin(run_id="run", folder=self.run, camera="00050423", simulated=True)
         self.ledger.end(place["number"], how="finished", folder=self.run)

@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def _write_journal(run: Path, entries: Sequence, hashes: dict[str, str]) -> None
     moments = iter(datetime.fromisoformat(entry.utc) for entry in entries)
     seconds = iter(entry.mono_s for entry in entries)
     with UnsyncedJournal.create(
-        written, utc_now=lambda: next(moments), monotonic=lambda: next(seconds)
+        written, SimpleNamespace(utc_now=lambda: next(moments), monotonic=lambda: next(seconds))
     ) as journal:
         for entry in entries:
             data = dict(entry.data)

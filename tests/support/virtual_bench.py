@@ -90,7 +90,7 @@ class VirtualBench:
         return verify_folder(self.run, read_trust(self.home)).faults
 
     def ledger(self):
-        return Ledger(self.home, utc_now=self.clock.utc_now, monotonic=self.clock.monotonic)
+        return Ledger(self.home, self.clock)
 
     def finish(self):
         """Do what an operator does next: resume, or give the same command again."""

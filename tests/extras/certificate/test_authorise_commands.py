@@ -9,6 +9,7 @@ import pytest
 from authorising import Authority, make_key, needs_openssl, needs_ssh_keygen
 from click.testing import CliRunner
 
+from bench.base.clock import VirtualClock
 from bench.commands.cli import cli
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.keys import load_key
@@ -69,7 +70,7 @@ def authorised(run, home, ada, monkeypatch):
     from bench.commands import verify as verify_command
 
     monkeypatch.setattr(verify_command, "derivations", lambda *_, **__: [verify_command.check_authorisation])
-    Ledger(home, utc_now=lambda: datetime(2026, 3, 1, tzinfo=UTC), monotonic=lambda: 0.0).append("begun")
+    Ledger(home, VirtualClock(datetime(2026, 3, 1, tzinfo=UTC))).append("begun")
     shown = json.loads(call("certificate", "authorise", run, "--key", ada, "--json", "--yes"))
     assert shown["in_ledger"] is True
     return run, ada

@@ -5,6 +5,7 @@ import dataclasses
 import re
 import shutil
 from datetime import datetime, timedelta
+from types import SimpleNamespace
 
 import pytest
 from certificate_lab import FIRST, Lab
@@ -110,7 +111,7 @@ def test_a_certificate_is_not_issued_in_the_second_before_its_run_ended(lab):
     lab.now = ended - timedelta(seconds=2)
     with pytest.raises(EvidenceError, match="ended on"):
         reserve(
-            Ledger(lab.path / "elsewhere", utc_now=lambda: lab.now, monotonic=lambda: 0.0),
+            Ledger(lab.path / "elsewhere", SimpleNamespace(utc_now=lambda: lab.now, monotonic=lambda: 0.0)),
             Wanted("SB-{number}", False, "ab", "run", "folder", ended_utc=utc_seconds(ended.isoformat())),
             lab.now,
         )

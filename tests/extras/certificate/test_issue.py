@@ -13,6 +13,7 @@ from certificate_sample import LAB
 from sealed_bench import NOW, sample_results, write_sealed_run
 
 from bench.base.bounded_json import canonical_json
+from bench.base.clock import VirtualClock
 from bench.base.errors import EvidenceError, RunFolderError, UsageError
 from bench.evidence.findings import SealFault
 from bench.extras.certificate import certificate_folder, sealed_run
@@ -163,7 +164,7 @@ def test_an_earlier_version_may_have_divided_u_of_a_method_of_reference_otherwis
 def test_the_ledger_tells_of_another_seal_and_of_a_void_number(real, copied):
     (copied / "SHA256SUMS").write_bytes(b"")
     assert "another seal" in str(check_certificate(copied, real.ledger).faults[0])
-    unknown = check_certificate(copied, Ledger(copied, utc_now=lambda: NOW, monotonic=lambda: 0.0))
+    unknown = check_certificate(copied, Ledger(copied, VirtualClock(NOW)))
     assert "not in the ledger" in unknown.remarks[0]
 
 

@@ -11,6 +11,7 @@ from certificate_sample import LAB, verified
 from click.testing import CliRunner
 from sealed_bench import write_sealed_run
 
+from bench.base.clock import VirtualClock
 from bench.base.errors import BenchError, UsageError
 from bench.commands.cli import cli
 from bench.extras.certificate import issue as issue_module
@@ -38,7 +39,7 @@ def bench(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_sealed_run(tmp_path / "run", tmp_path / "home")
     (tmp_path / "lab.yaml").write_text(LAB, encoding="utf-8")
-    ledger = Ledger(tmp_path / "home", utc_now=lambda: LATER, monotonic=lambda: 0.0)
+    ledger = Ledger(tmp_path / "home", VirtualClock(LATER))
     with (
         mock.patch.object(issue_module, "certificate_files", quick_files),
         mock.patch.object(certificate, "verify_sealed", verified),

@@ -3,6 +3,7 @@
 import threading
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import settings
@@ -32,7 +33,7 @@ class Bench:
 
     def __init__(self, home):
         self.now = NOW
-        self.ledger = Ledger(home, utc_now=lambda: self.now, monotonic=lambda: 0.0)
+        self.ledger = Ledger(home, SimpleNamespace(utc_now=lambda: self.now, monotonic=lambda: 0.0))
 
     def reserve(self, run="a", **facts):
         words = {"number_format": "SB-{year}-{number:05d}", "simulated": False, "run_seal": run * 64}

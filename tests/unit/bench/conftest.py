@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from expected_stars import THREE, expected_views, write_points
-from journals import CLOCKS
+from journals import CLOCK
 from kept_calibrations import kept_calibration
 
 from bench.base.bounded_json import canonical_json
@@ -66,7 +66,7 @@ def coarse(monkeypatch):
 
 @pytest.fixture
 def ledger(tmp_path):
-    return Ledger(tmp_path / "home", **CLOCKS)
+    return Ledger(tmp_path / "home", CLOCK)
 
 
 @pytest.fixture(scope="session")
@@ -95,7 +95,7 @@ def make_a_run(path, *, serial="00050423"):
     documents |= {"plan.json": b"{}\n"}
     for name, text in documents.items():
         folder.write_atomic(name, text)
-    with Journal.create(folder.journal_path, **CLOCKS) as journal:
+    with Journal.create(folder.journal_path, CLOCK) as journal:
         hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
         journal.append("run_started", id="run-1", sha256=hashes)
         for pose, attempts in ((1, 2), (2, 1)):

@@ -159,8 +159,7 @@ def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, beg
     def record(run):
         pose = len(workers.begun)
         if pose in gaining:
-            clocks = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}
-            with Journal.open(run / "journal.jsonl", **clocks) as journal:
+            with Journal.open(run / "journal.jsonl", clock) as journal:
                 journal.append(Event.CAPTURE_STORED, pose=pose, pose_name="p", attempt=1)
                 journal.append(Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True)
 

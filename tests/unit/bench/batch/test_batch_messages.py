@@ -55,8 +55,7 @@ def test_what_a_worker_cannot_tell_itself_is_told_once(tmp_path, outbox, message
 
 def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messages):
     (tmp_path / "run").mkdir()
-    clocks = {"utc_now": lambda: NOW, "monotonic": lambda: 0.0}
-    with Journal.create(tmp_path / "run" / "journal.jsonl", **clocks) as journal:
+    with Journal.create(tmp_path / "run" / "journal.jsonl", VirtualClock(NOW)) as journal:
         key = journal.append("run_ended", how="failed", why="so").hash
     words = station(tmp_path)
     messages.add_recipients([words])

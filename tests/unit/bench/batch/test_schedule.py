@@ -2,6 +2,7 @@
 
 import json
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 from zoneinfo import ZoneInfo
 
 import pytest
@@ -146,7 +147,9 @@ def ran(folder, took_s, *events, planned_s=100.0, how="finished", station="Simul
     folder.mkdir()
     now = [BEGUN]
     (folder / "plan.json").write_text(json.dumps({"duration_s": planned_s}))
-    with Journal.create(folder / "journal.jsonl", utc_now=lambda: now[0], monotonic=lambda: 0.0) as journal:
+    with Journal.create(
+        folder / "journal.jsonl", SimpleNamespace(utc_now=lambda: now[0], monotonic=lambda: 0.0)
+    ) as journal:
         journal.append(Event.RUN_STARTED, id=folder.name, station=station)
         for event in events:
             journal.append(event, what="Held by ada for 900 s before step 3.")

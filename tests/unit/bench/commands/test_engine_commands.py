@@ -8,6 +8,7 @@ import pytest
 from calling import out_of
 from expected_stars import expected_views, write_points
 
+from bench.base.clock import VirtualClock
 from bench.solve.forecasts import expected_bench
 from bench.stations.station import load_station
 
@@ -56,7 +57,7 @@ def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):
     path.write_bytes(b"% format EVT3;height=720;width=1280\n% end\n" + bytes(8))
     size = path.stat().st_size
     now = datetime(2026, 3, 1, tzinfo=UTC)
-    with Journal.create(tmp_path / "journal.jsonl", utc_now=lambda: now, monotonic=lambda: 0.0) as journal:
+    with Journal.create(tmp_path / "journal.jsonl", VirtualClock(now)) as journal:
         journal.append(
             "capture_stored", capture="captures/pose-001-attempt-1.raw", size=size, sha256="0" * 64
         )

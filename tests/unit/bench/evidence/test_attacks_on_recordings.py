@@ -80,7 +80,7 @@ def test_what_only_a_new_recording_could_tell_is_told_by_the_ledger(forger, trus
     forger.seal()
     verification = checked(forger.folder, trusted)
     assert verification.faults == [], [str(fault) for fault in verification.faults]
-    assert ledger_faults_of_run(forger.folder, Ledger(bench_home, utc_now=None, monotonic=None))
+    assert ledger_faults_of_run(forger.folder, Ledger(bench_home, None))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from authorising import needs_certificates
 from click.testing import CliRunner
-from journals import CLOCKS
+from journals import CLOCK
 
 from bench.base.home import HOME_VARIABLE
 from bench.commands.cli import cli
@@ -29,13 +29,13 @@ class Bench:
 
     def __init__(self, home):
         create_key(home, principal="bench1@lab.example")
-        self.key, self.ledger = load_key(home), Ledger(home, **CLOCKS)
+        self.key, self.ledger = load_key(home), Ledger(home, CLOCK)
 
     def run(self, path, *, how="finished", place=None, **started):
         place = place or self.ledger.begin(run_id=path.name, folder=path, camera="1", simulated=True)
         facts = {"id": path.name, "sequence": "s", "station": "s", "sha256": {}, "seed": 1, "operator": None}
         with RunFolder.create(path) as folder:
-            with Journal.create(folder.journal_path, **CLOCKS) as journal:
+            with Journal.create(folder.journal_path, CLOCK) as journal:
                 facts |= {"simulated": True, "software": SOFTWARE, "ledger": place} | started
                 journal.append(Event.RUN_STARTED, **facts)
                 journal.append(Event.DEVICES, camera={"serial": "1"}, stage=[], light={}, camera_settings={})
@@ -163,7 +163,7 @@ def written_anew(bench, path, **changed):
     folder = writable(path)
     (entries, _) = read_journal(folder / "journal.jsonl")
     (folder / "journal.jsonl").unlink()
-    with Journal.create(folder / "journal.jsonl", **CLOCKS) as journal:
+    with Journal.create(folder / "journal.jsonl", CLOCK) as journal:
         for entry in entries:
             journal.append(entry.event, **(entry.data | changed if entry is entries[0] else entry.data))
     reseal(folder, bench.key)

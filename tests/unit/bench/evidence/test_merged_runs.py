@@ -8,6 +8,7 @@ from datetime import timedelta
 import pytest
 from many_runs import BEGIN, BenchOfRuns, write_run
 
+from bench.base.clock import VirtualClock
 from bench.evidence.merged_runs import (
     IN_LEDGER,
     NO_LEDGER,
@@ -34,7 +35,7 @@ def bench(folder, runs=3, **facts):
 
 
 def sources(*homes):
-    return [read_source(Ledger(home, utc_now=lambda: BEGIN, monotonic=lambda: 0.0)) for home in homes]
+    return [read_source(Ledger(home, VirtualClock(BEGIN))) for home in homes]
 
 
 def merge(tmp_path, *homes, folders=(), **facts):

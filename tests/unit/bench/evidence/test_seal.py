@@ -166,7 +166,7 @@ def test_a_list_that_is_not_one_of_ours_is_refused(text):
 def test_a_finished_run_without_results_is_sealed_when_it_is_taken_up_again(make_run, key, tmp_path):
     with make_run(tmp_path / "run") as folder:
         (folder.path / "results.json").unlink()
-        with Journal.open(folder.journal_path, utc_now=None, monotonic=None) as journal:
+        with Journal.open(folder.journal_path, None) as journal:
             end = seal_finished(folder, journal, key)
     assert (end.how, end.outcome) == ("finished", None)
     assert (tmp_path / "run" / "SHA256SUMS.sig").exists()

@@ -2,10 +2,12 @@
 
 import os
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 
 import pytest
-from journals import CLOCKS
+from journals import CLOCK
 
+from bench.base.clock import BenchClock
 from bench.base.errors import JournalBroken
 from bench.record.events import AttemptChecked, CaptureStored, Entering, Event, LeftOff, RunEnded, StepDone
 from bench.record.history import replay
@@ -17,7 +19,7 @@ ATTEMPTS = [(2, 1, False), (1, 1, True), (2, 2, True), (1, 2, True), (3, 1, None
 
 
 def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_path):
-    with Journal.create(tmp_path / "j", **CLOCKS) as journal:
+    with Journal.create(tmp_path / "j", CLOCK) as journal:
         for pose, attempt, accepted in ATTEMPTS:
             which = {"pose": pose, "attempt": attempt}
             name = f"{pose}-{attempt}"
@@ -37,8 +39,8 @@ def test_recordings_are_found_by_their_pose_and_the_last_accepted_counts(tmp_pat
 def test_time_counts_for_the_step_at_work_without_holds_and_without_the_time_between_processes(tmp_path):
     now = {"s": 0.0}
     begin = datetime(2026, 3, 1, tzinfo=UTC)
-    clocks = {"utc_now": lambda: begin + timedelta(seconds=now["s"]), "monotonic": lambda: now["s"]}
-    with Journal.create(tmp_path / "j", **clocks) as journal:
+    clock = SimpleNamespace(utc_now=lambda: begin + timedelta(seconds=now["s"]), monotonic=lambda: now["s"])
+    with Journal.create(tmp_path / "j", clock) as journal:
         for after_s, event, data in (
             (1.0, Event.ENTERING, {"state": "preflight", "from": "idle"}),
             (2.0, Event.ENTERING, {"state": "slewing", "from": "preflight", "step": 7}),
@@ -59,7 +61,7 @@ def test_time_counts_for_the_step_at_work_without_holds_and_without_the_time_bet
 
 
 def test_decisions_give_the_chosen_poses_and_what_is_left_out(tmp_path):
-    with Journal.create(tmp_path / "j", **CLOCKS) as journal:
+    with Journal.create(tmp_path / "j", CLOCK) as journal:
         head = {"until": 2, "until_last": 30}
         chosen = {"pose": 4, "pose_name": "chosen 1", "angles_deg": {"pan": 1.5}, "expected": {}, "why": ""}
         journal.append(Event.UNTIL_DECIDED, step=11, chosen=chosen, **head)
@@ -95,7 +97,7 @@ ON_THE_WAY = [
 @pytest.fixture
 def log(tmp_path):
     path = tmp_path / "journal.jsonl"
-    with Journal.create(path, utc_now=lambda: datetime.now(UTC), monotonic=lambda: 0.0) as journal:
+    with Journal.create(path, BenchClock()) as journal:
         log = RunLog(journal)
         with pytest.raises(ValueError, match="gate_data"):
             log.write(GateData)

@@ -29,8 +29,11 @@ class Clocks:
         self.mono_s += seconds
         self.utc += timedelta(seconds=seconds if system_s is None else system_s)
 
-    def kwargs(self):
-        return {"utc_now": lambda: self.utc, "monotonic": lambda: self.mono_s}
+    def utc_now(self):
+        return self.utc
+
+    def monotonic(self):
+        return self.mono_s
 
 
 @pytest.fixture
@@ -45,7 +48,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def three_lines(path, clocks):
-    with Journal.create(path, **clocks.kwargs()) as journal:
+    with Journal.create(path, clocks) as journal:
         journal.append("run_started", sequence="three_pose", seed=1)
         journal.append("state", to="homing")
         journal.append("finished")
@@ -53,7 +56,7 @@ def three_lines(path, clocks):
 
 
 def test_numpy_paths_and_dates_are_written_as_json(path, clocks):
-    with Journal.create(path, **clocks.kwargs()) as journal:
+    with Journal.create(path, clocks) as journal:
         data = journal.append("x", a=np.float64(1.5), b=np.arange(3), c=Path("a/b"), d=START, e=np.True_).data
     assert data == {"a": 1.5, "b": [0, 1, 2], "c": "a/b", "d": "2026-03-01T12:00:00.123456+00:00", "e": True}
 
@@ -70,7 +73,7 @@ def test_every_prefix_of_a_journal_can_be_gone_on_with(three_lines, clocks, monk
     whole = three_lines.read_bytes()
     for size in range(len(whole) + 1):
         three_lines.write_bytes(whole[:size])
-        with Journal.open(three_lines, **clocks.kwargs()) as journal:
+        with Journal.open(three_lines, clocks) as journal:
             assert len(journal.entries) == whole[:size].count(b"\n")
             assert journal.torn == whole[:size].rpartition(b"\n")[2]
             head, added = journal.head, journal.append("resumed")
@@ -159,19 +162,19 @@ def test_a_broken_journal_is_left_as_it_is(three_lines, clocks):
     broken = three_lines.read_bytes().replace(b"homing", b"hominG") + b"torn"
     three_lines.write_bytes(broken)
     with pytest.raises(JournalBroken, match="from a copy"):
-        Journal.open(three_lines, **clocks.kwargs())
+        Journal.open(three_lines, clocks)
     assert three_lines.read_bytes() == broken
 
 
 def test_a_jump_of_the_system_clock_is_told_also_between_two_processes(path, clocks):
-    with Journal.create(path, **clocks.kwargs()) as journal:
+    with Journal.create(path, clocks) as journal:
         journal.append("a")
         clocks.advance(10, system_s=11.9)
         journal.append("b")
         clocks.advance(10, system_s=3610)
         journal.append("c")
     clocks.advance(5, system_s=-60)
-    with Journal.open(path, **clocks.kwargs()) as journal:
+    with Journal.open(path, clocks) as journal:
         journal.append("d")
     assert [e.event for e in journal.entries] == ["a", "b", CLOCK_JUMPED, "c", CLOCK_JUMPED, "d"]
     assert [journal.entries[at].data for at in (2, 4)] == [{"jump_s": 3600.0}, {"jump_s": -60.0}]
@@ -183,7 +186,7 @@ def test_a_jump_of_the_system_clock_is_told_also_between_two_processes(path, clo
     ids=str,
 )
 def test_data_that_cannot_stand_in_a_line_is_refused(path, clocks, data):
-    with Journal.create(path, **clocks.kwargs()) as journal:
+    with Journal.create(path, clocks) as journal:
         with pytest.raises(ValueError, match="'bad'"):
             journal.append("bad", **data)
         journal.append("good")
@@ -192,7 +195,7 @@ def test_data_that_cannot_stand_in_a_line_is_refused(path, clocks, data):
 
 def test_a_journal_is_never_begun_twice(three_lines, clocks):
     with pytest.raises(RunFolderError, match="exists already"):
-        Journal.create(three_lines, **clocks.kwargs())
+        Journal.create(three_lines, clocks)
 
 
 def test_a_full_disk_leaves_no_half_line_and_the_journal_goes_on(three_lines, clocks, monkeypatch):
@@ -204,7 +207,7 @@ def test_a_full_disk_leaves_no_half_line_and_the_journal_goes_on(three_lines, cl
             return real_write(descriptor, data[:20])
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+    with Journal.open(three_lines, clocks) as journal:
         with monkeypatch.context() as patch:
             patch.setattr(os, "write", half_then_full)
             with pytest.raises(StorageError, match=r"disk is full.*Make room"):
@@ -239,7 +242,7 @@ def stopped(descriptor, data):
     ids=["sync failed", "half a line that cannot be taken back", "stopped"],
 )
 def test_after_a_failed_write_nothing_more_is_written(three_lines, clocks, monkeypatch, calls, error, left):
-    with Journal.open(three_lines, **clocks.kwargs()) as journal:
+    with Journal.open(three_lines, clocks) as journal:
         with monkeypatch.context() as patch:
             for name, fault in calls.items():
                 patch.setattr(name, fault)
@@ -252,7 +255,7 @@ def test_after_a_failed_write_nothing_more_is_written(three_lines, clocks, monke
 
 
 def test_the_name_of_a_new_journal_is_synced_and_a_noted_line_is_with_the_next_one(path, clocks, synced):
-    with Journal.create(path, **clocks.kwargs()) as journal:
+    with Journal.create(path, clocks) as journal:
         journal.put("on_the_way", {}, synced=False)
         assert synced == [path.parent]
         assert [entry.event for entry in read_journal(path)[0]] == ["on_the_way"]
@@ -271,7 +274,7 @@ def test_blocks_that_never_reached_the_disk_take_lines_that_were_not_synced_and_
 ):
     path = tmp_path / "zeros.jsonl"
     path.unlink(missing_ok=True)
-    with Journal.create(path, **clocks.kwargs()) as journal:
+    with Journal.create(path, clocks) as journal:
         for number in range(data.draw(st.integers(0, 4))):
             journal.append("counts", text="x" * data.draw(st.integers(0, 300)), number=number)
         synced, lasting = path.stat().st_size, len(journal.entries)
@@ -284,7 +287,7 @@ def test_blocks_that_never_reached_the_disk_take_lines_that_were_not_synced_and_
             first, last = max(begin, synced), min(begin + 512, len(written))
             written[first:last] = bytes(max(0, last - first))
     path.write_bytes(written)
-    with Journal.open(path, **clocks.kwargs()) as journal:
+    with Journal.open(path, clocks) as journal:
         kept = list(journal.entries)
         journal.append("goes_on")
     assert len(kept) >= lasting
@@ -299,7 +302,7 @@ def test_blocks_that_never_reached_the_disk_take_lines_that_were_not_synced_and_
     ids=["far from the end", "no block's extent", "last block"],
 )
 def test_only_zeros_of_the_last_blocks_are_a_cut_of_power(path, clocks, lines, begin, end, is_cut):
-    with Journal.create(path, **clocks.kwargs()) as journal:
+    with Journal.create(path, clocks) as journal:
         for number in range(lines):
             journal.append("counts", text="x" * 1000, number=number)
     damaged = bytearray(path.read_bytes())

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from journals import CLOCKS
+from journals import CLOCK
 from running import python
 
 from bench.base.errors import JournalBroken
@@ -33,7 +33,7 @@ def test_a_run_is_known_where_it_was_entered_and_not_by_another_of_its_number_an
     place = begin(ledger)
     assert ledger.contains(place)
     assert not ledger.contains({})
-    other = begin(Ledger(tmp_path / "another bench", **CLOCKS), camera="00050999")
+    other = begin(Ledger(tmp_path / "another bench", CLOCK), camera="00050999")
     assert other["number"] == place["number"]
     assert not ledger.contains(other)
 
@@ -70,8 +70,8 @@ def test_the_seal_of_a_run_is_entered_and_held_against_its_folder(ledger, make_r
 
 def test_processes_that_begin_at_once_get_numbers_of_their_own(tmp_path):
     code = (
-        "import sys, time; from datetime import UTC, datetime; from pathlib import Path; from bench.record.ledger import Ledger\n"
-        "ledger = Ledger(Path(sys.argv[1]), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)\n"
+        "import sys; from pathlib import Path; from bench.base.clock import BenchClock; from bench.record.ledger import Ledger\n"
+        "ledger = Ledger(Path(sys.argv[1]), BenchClock())\n"
         "for i in range(5): print(ledger.begin(run_id='r', folder=Path('/r'), camera='c', simulated=False)['number'])"
     )
 
@@ -81,7 +81,7 @@ def test_processes_that_begin_at_once_get_numbers_of_their_own(tmp_path):
     with ThreadPoolExecutor(3) as pool:
         numbers = sorted(int(n) for output in pool.map(process, range(3)) for n in output.split())
     assert numbers == list(range(1, 16))
-    assert len(Ledger(tmp_path, **CLOCKS).runs()) == 15
+    assert len(Ledger(tmp_path, CLOCK).runs()) == 15
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_processes_that_begin_at_once_get_numbers_of_their_own(tmp_path):
 )
 def test_a_ledger_of_another_program_is_refused(ledger, event, data):
     begin(ledger)
-    with Journal.open(ledger.path, **CLOCKS) as journal:
+    with Journal.open(ledger.path, CLOCK) as journal:
         journal.append(event, **data)
     with pytest.raises(JournalBroken, match=r"Line 2 of the ledger"):
         ledger.runs()

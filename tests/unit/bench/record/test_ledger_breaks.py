@@ -3,13 +3,14 @@
 import tempfile
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from unittest import mock
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
-from journals import CLOCKS
+from journals import CLOCK
 
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.record.journal import Journal
@@ -110,7 +111,7 @@ def test_an_own_mark_of_another_program_is_noticed(ledger, content):
 
 def test_a_process_killed_after_the_first_line_of_a_ledger_leaves_no_break(ledger):
     ledger.home.mkdir()
-    with Journal.create(ledger.path, **CLOCKS) as journal:
+    with Journal.create(ledger.path, CLOCK) as journal:
         journal.append("run_begun", number=1, run="r", folder="/r", camera="1", simulated=False)
     assert ledger.breaks() == ([], [])
     assert begin(ledger)["number"] == 2
@@ -160,7 +161,7 @@ class LedgerStory(RuleBasedStateMachine):
         self.folder = tempfile.TemporaryDirectory()
         root = Path(self.folder.name)
         self.now = datetime(2026, 3, 1, tzinfo=UTC)
-        self.ledger = Ledger(root / "home", utc_now=self.tick, monotonic=self.seconds)
+        self.ledger = Ledger(root / "home", SimpleNamespace(utc_now=self.tick, monotonic=self.seconds))
         self.broken, self.numbers, self.open = False, [], []
 
     def seconds(self):

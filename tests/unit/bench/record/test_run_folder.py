@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 from refusals import denied, full
 
+from bench.base.clock import VirtualClock
 from bench.base.errors import RunFolderError, StorageError, UsageError
 from bench.record import run_folder as run_folder_module
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name, stored_captures
@@ -24,9 +25,7 @@ HOLD = "import sys; from pathlib import Path; from bench.record.run_folder impor
 
 
 def begin_journal(folder):
-    return Journal.create(
-        folder.journal_path, utc_now=lambda: datetime(2026, 1, 1, tzinfo=UTC), monotonic=lambda: 0.0
-    )
+    return Journal.create(folder.journal_path, VirtualClock(datetime(2026, 1, 1, tzinfo=UTC)))
 
 
 def record(folder, pose, attempt, data):

@@ -9,6 +9,7 @@ import pytest
 from many_runs import write_run
 from refusals import denied
 
+from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError, UsageError
 from bench.record.coverage import Estimate
 from bench.record.events import Event
@@ -82,7 +83,7 @@ def test_a_journal_that_went_on_is_read_again(index, tmp_path):
     assert index.runs([path])[0][0].how == "cut off"
     with RunFolder.open(path):
         assert index.runs([path])[0][0].how == "running"
-    with Journal.open(path / "journal.jsonl", utc_now=lambda: DAYS[1], monotonic=lambda: 0.0) as journal:
+    with Journal.open(path / "journal.jsonl", VirtualClock(DAYS[1])) as journal:
         journal.append(Event.RUN_ENDED, how="aborted", why="")
     assert index.runs([path])[0][0].how == "aborted"
 
@@ -90,7 +91,7 @@ def test_a_journal_that_went_on_is_read_again(index, tmp_path):
 @pytest.mark.parametrize(("kind", "shown"), [("marginal", True), ("pass", False)])
 def test_a_list_shows_the_verdict_of_a_run_that_has_reservations(tmp_path, kind, shown):
     path = make(tmp_path / "run", ended=None)
-    with Journal.open(path / "journal.jsonl", utc_now=lambda: DAYS[1], monotonic=lambda: 0.0) as journal:
+    with Journal.open(path / "journal.jsonl", VirtualClock(DAYS[1])) as journal:
         journal.append(Event.WRITTEN, head="", files={}, verdict={"kind": kind, "headline": "As calibrated."})
         journal.append(Event.RUN_ENDED, how="finished", why="")
     assert ("As calibrated." in called("runs", path, home=tmp_path / "home").stdout) == shown

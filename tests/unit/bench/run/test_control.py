@@ -4,7 +4,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from journals import CLOCKS
+from journals import CLOCK
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
@@ -69,7 +69,7 @@ def commanded(journal, word, taken=True, **more):
 
 
 def test_holds_last_from_hold_to_release_and_not_beyond_the_process(tmp_path):
-    with Journal.create(tmp_path / "j", **CLOCKS) as journal:
+    with Journal.create(tmp_path / "j", CLOCK) as journal:
         commanded(journal, "hold", taken=False)
         assert replay(journal.entries).holder == ""
         commanded(journal, "hold")
@@ -90,7 +90,7 @@ def test_holds_last_from_hold_to_release_and_not_beyond_the_process(tmp_path):
 def run(tmp_path):
     """A run folder held by this process, its log, and its clock."""
     folder = RunFolder.create(tmp_path / "run")
-    with folder, Journal.create(folder.journal_path, **CLOCKS) as journal:
+    with folder, Journal.create(folder.journal_path, CLOCK) as journal:
         yield folder.path, RunLog(journal), BenchClock()
 
 

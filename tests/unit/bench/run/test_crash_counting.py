@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from journals import CLOCKS
+from journals import CLOCK
 
 from bench.base.clock import BenchClock
 from bench.record.events import Event
@@ -21,7 +21,7 @@ def crashed(tmp_path, monkeypatch):
     """A run whose process crashed at its first pose; what follows its resuming is left out."""
     with (
         RunFolder.create(tmp_path / "run") as folder,
-        Journal.create(folder.journal_path, **CLOCKS) as journal,
+        Journal.create(folder.journal_path, CLOCK) as journal,
     ):
         journal.append(Event.RUN_STARTED, id="run", ledger={"number": 1})
         journal.append(Event.ENTERING, state="slewing", pose=1)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from virtual_camera import VirtualCamera
 
+from bench.base.clock import VirtualClock
 from bench.base.errors import EvidenceError
 from bench.evidence.keys import create_key
 from bench.evidence.signers import read_signers
@@ -41,7 +42,7 @@ def tell(journal, attempt, pose=1, accepted=None, reasons=(), **facts):
 
 
 def reopened(folder):
-    return Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0)
+    return Journal.open(folder.journal_path, VirtualClock(NOW))
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def key(tmp_path):
 def folder(tmp_path):
     with (
         RunFolder.create(tmp_path / "run") as folder,
-        Journal.create(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal,
+        Journal.create(folder.journal_path, VirtualClock(NOW)) as journal,
     ):
         journal.append(Event.RUN_STARTED, id="run-7", simulated=True, sequence="Three", station="Bench")
         reasons = ["The picture is dark.", "stars 0, needed >= 40"]

@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
+from bench.base.clock import VirtualClock
 from bench.plan.job import Job
 from bench.record.events import Event
 from bench.record.history import Attempt, History, replay
@@ -60,7 +61,7 @@ def test_a_move_for_two_recordings_is_not_skipped_with_one_of_them(steps):
 
 def lived(tmp_path, *lines):
     now = datetime(2026, 3, 1, tzinfo=UTC)
-    with Journal.create(tmp_path / "j", utc_now=lambda: now, monotonic=lambda: 0.0) as journal:
+    with Journal.create(tmp_path / "j", VirtualClock(now)) as journal:
         for event, data in lines:
             journal.append(event, **data)
         return replay(journal.entries)

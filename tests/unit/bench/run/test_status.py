@@ -4,6 +4,7 @@ import functools
 import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -41,8 +42,8 @@ class Run:
         self.path = path
         self.now = BEGUN
         self.folder.write_atomic("plan.json", json.dumps(plan()).encode())
-        clocks = {"utc_now": lambda: self.now, "monotonic": lambda: 0.0}
-        self.journal = Journal.create(self.folder.journal_path, **clocks)
+        clock = SimpleNamespace(utc_now=lambda: self.now, monotonic=lambda: 0.0)
+        self.journal = Journal.create(self.folder.journal_path, clock)
         self.tell(Event.RUN_STARTED, id="run-7", simulated=True)
 
     def tell(self, event, **data):
