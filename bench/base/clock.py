@@ -55,6 +55,7 @@ class BenchClock:
         self._interruption: str | None = None
         self._shields = 0
         self._asleep = False
+        self._asleep_before_s = self.asleep_s()
         self._asked_s = time.monotonic()
         self._worker = threading.get_ident()
 
@@ -122,8 +123,10 @@ class BenchClock:
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
 
     def lateness(self) -> LatenessData:
-        """Return how late a busy computer woke this process; the first call begins to measure."""
-        return own_lateness().summary()
+        """Return how late a computer that was busy or suspended woke this process; the first call begins to measure."""
+        summary, asleep_s = own_lateness().summary(), self.asleep_s() - self._asleep_before_s
+        lost_s, longest_s = summary["lost_s"] + asleep_s, max(summary["longest_s"], asleep_s)
+        return {**summary, "lost_s": round(lost_s, 3), "longest_s": round(longest_s, 3)}
 
     def request_stop(self, reason: str) -> None:
         """Ask the run to stop at its next wait; the first request counts. Safe in a signal handler or thread."""

@@ -8,13 +8,11 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterator, Mapping
-from datetime import datetime
-from itertools import pairwise
 from typing import NamedTuple
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.plan.job import Job
-from bench.record.events import LightSettingsData, RecordedData, StateEntered
+from bench.record.events import LightSettingsData, RecordedData
 from bench.record.history import History
 from bench.record.measured_facts import ImageFacts, MeasuredFacts
 from bench.record.results import CameraConditions, Conditions, PoseData, Results
@@ -39,8 +37,7 @@ _STARS_SHARE, _RESIDUAL_SHARE, _EVENTS_SHARE, _DELAY_SHARE = 0.05, 0.15, 0.1, 0.
 _EXPECTED_STARS, _EXPECTED_NOISE = 0.12, 0.4
 #: Settings of a light are others if they differ by more than this share; a duty is measured to parts in a thousand.
 _SAME_SETTING = 0.02
-#: A computer that is this late at once, s, has slept or was stopped: load alone makes a tenth of it. A clock that is
-#: set by a time server moves by less than a second.
+#: A computer that is this late at once, s, has slept or was stopped: load alone makes a tenth of it.
 _STOOD_STILL_S = 10.0
 
 
@@ -155,23 +152,10 @@ def _other_lens(job: Job, calibration: Calibration, last: Results | None) -> Ite
 
 
 def _stood_still(history: History) -> Iterator[Cause]:
-    """Yield that the computer stood still: it was late, or its time of day went on without its clock."""
-    longest_s = max(history.lateness.get("longest_s", 0.0), *map(_slept_s, pairwise(history.states)), 0.0)
+    """Yield that the computer stood still. The time of day says nothing: somebody, or a time server, sets it."""
+    longest_s = history.lateness.get("longest_s", 0.0)
     if longest_s >= _STOOD_STILL_S:
         yield Cause(kinds.ASLEEP, LARGEST_EVIDENCE, longest_s, unit="s")
-
-
-def _slept_s(states: tuple[StateEntered, StateEntered]) -> float:
-    """Return how much longer the time between two states was by the time of day than by the clock, s.
-
-    The clock of a computer that sleeps stands still. A resumed run has another clock.
-    """
-    before, after = states
-    passed_s = after["mono_s"] - before["mono_s"]
-    if after["state"] == "recovering" or passed_s < 0.0:
-        return 0.0
-    begun, ended = (datetime.fromisoformat(state["utc"]) for state in states)
-    return (ended - begun).total_seconds() - passed_s
 
 
 def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:

@@ -207,3 +207,14 @@ def test_a_busy_computer_is_told_again_after_a_minute_and_one_that_is_a_little_l
     share, seconds, told
 ):
     assert len(lines_of(share, seconds)) == told
+
+
+def test_a_computer_that_was_suspended_since_the_run_began_was_late_for_so_long(monkeypatch):
+    asleep_s = [100.0]  # Since the computer was started
+    monkeypatch.setattr(BenchClock, "asleep_s", lambda _clock: asleep_s[0])
+    clock = BenchClock()
+    assert clock.lateness()["longest_s"] < 100.0
+    asleep_s[0] += 1800.0
+    lateness = clock.lateness()
+    assert lateness["longest_s"] == 1800.0
+    assert lateness["lost_s"] >= 1800.0
