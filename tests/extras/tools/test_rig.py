@@ -1,4 +1,4 @@
-"""The command `rig`: boards at finite distance, clocks of two cameras; numbers, files, refusals."""
+"""The command `rig`: boards at finite distance, numbers, files, refusals."""
 
 import json
 from copy import deepcopy
@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 import yaml
 from calling import out_of, refusal
-from drawn_rig import BOARD as CORNERS_MM
 from drawn_rig import Drawn
 
 from calib.model.rotation import exp_map, log_map
-from drivers.camera.formats.event_conversion import convert
 
 pytestmark = pytest.mark.usefixtures("calibrated_once")
 
@@ -226,80 +224,4 @@ def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, wo
     message = refusal(capsys, "rig", *words, status=status)
     assert fault in message
     assert message.count("Error") <= 1
-    assert not (tmp_path / "new").exists()
-
-
-# ---------------------------------------------------------------- clocks of two cameras
-
-SENSOR = (400, 300)
-
-PERIOD_US, PERIODS = 4000, 6
-
-OFFSET_US, GAIN = 1700.0, 60e-6
-
-WORDS = ("--board", "checkerboard:11x7:20mm")
-
-
-def flickering(view, clock, edges_us, path):
-    """Write a recording of a board under a lamp that flickers: white paper sends events, and the sync signal edges."""
-    whole = np.kron((np.add.outer(range(8), range(12)) + 1) % 2, np.full((40, 40), 255)).astype(np.uint8)
-    sheet = cv2.copyMakeBorder(whole, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
-    to_image, _ = cv2.findHomography(CORNERS_MM * 2.0 + 79.5, view.points_px)
-    rows, columns = np.nonzero(cv2.warpPerspective(sheet, to_image, SENSOR, borderValue=0) > 127)
-    edges = np.round(clock(np.asarray(edges_us, float))).astype(np.int64)
-    n, up = len(rows), np.arange(len(edges)) % 2 == 0
-    later = np.tile(np.sort((np.arange(n) * 997) % 300), len(edges))  # pixels fire one after the other
-    np.savez(
-        path.with_suffix(".npz"),
-        t=np.repeat(edges, n) + 20 + later,
-        x=np.tile(columns, len(edges)).astype(np.uint16),
-        y=np.tile(rows, len(edges)).astype(np.uint16),
-        p=np.repeat(up, n).astype(np.uint8),
-        trigger_t=edges,
-        trigger_value=up.astype(np.uint8),
-        trigger_id=np.zeros(len(edges), np.uint8),
-        size=np.array(SENSOR),
-    )
-    convert(path.with_suffix(".npz"), path, "raw")
-    path.with_suffix(".npz").unlink()
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Recordings of both cameras; those of the folder `alone` under another lamp."""
-    rig, folder = Drawn(5, boards=4, sizes=(SENSOR, SENSOR), sigma_px=0.0), tmp_path_factory.mktemp("sync")
-    lamp = 2000 + PERIOD_US // 2 * np.arange(2 * PERIODS)
-    clocks = {"left": lambda t: t, "alone": lambda t: 1.01 * t}
-    clocks["right"] = lambda t: t + OFFSET_US + GAIN * (t - lamp.mean())
-    for name, views in {"left": rig.views[0], "right": rig.views[1], "alone": rig.views[1]}.items():
-        (folder / name).mkdir()
-        for view in views[: 2 if name == "alone" else None]:
-            flickering(view, clocks[name], lamp, folder / name / f"{view.name}.raw")
-    return folder
-
-
-def test_the_offset_of_the_clocks_comes_from_the_trigger_edges(capsys, folder, tmp_path):
-    words = ("rig", folder / "left", folder / "right", *WORDS, "--sync", "-o", tmp_path / "rig")
-    answer = json.loads(out_of(capsys, *words, "--json"))
-    held = json.loads((tmp_path / "rig" / "rig.json").read_text())
-    assert held["clocks"] == answer["clocks"]
-    assert len(answer["clocks"]["recordings"]) == 4
-    for recording in answer["clocks"]["recordings"]:
-        assert recording["offset_us"] == pytest.approx(OFFSET_US, abs=3.0 * recording["sigma_us"])
-        assert recording["period_us"] == pytest.approx(PERIOD_US, abs=1.0)
-        assert recording["edges"] == PERIODS
-    assert answer["clocks"]["rate_ppm"] == pytest.approx(60.0, abs=3.0 * answer["clocks"]["sigma_rate_ppm"])
-    shown = out_of(capsys, *words[:-2])
-    assert "second - first = 1700" in shown
-    assert "whole periods" in shown
-    assert "Clock of" not in out_of(capsys, *words[:-3])
-
-
-def test_recordings_that_are_not_synchronised_are_one_error(capsys, folder, tmp_path):
-    words = ("rig", folder / "left", folder / "alone", *WORDS, "--sync", "-o", tmp_path / "new")
-    assert "do not belong together" in refusal(capsys, *words)
-    (tmp_path / "pictures").mkdir()
-    cv2.imwrite(str(tmp_path / "pictures" / "board-0.png"), np.zeros((300, 400), np.uint8))
-    words = ("rig", folder / "left", tmp_path / "pictures", *WORDS, "--sync", "-o", tmp_path / "new")
-    assert "RAW recordings only" in refusal(capsys, *words, status=2)
     assert not (tmp_path / "new").exists()

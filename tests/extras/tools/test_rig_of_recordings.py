@@ -1,10 +1,12 @@
 """Two simulated event cameras behind one collimator, from their RAW recordings: rotation, and the offset of the clocks."""
 
 import json
+import re
 
+import cv2
 import numpy as np
 import pytest
-from calling import out_of
+from calling import out_of, refusal
 from virtual_camera import VirtualCamera
 
 from calib.model.rotation import log_map
@@ -41,11 +43,13 @@ def record(camera, pose, number, path, clock):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
+    """Recordings of both cameras, and those of the second one under another lamp."""
     folder = tmp_path_factory.mktemp("recordings")
     middle = 5000.0 + 1e6 / LIGHT_HZ * PERIODS / 2.0
-    clocks = {"left": lambda t: t + 1e6, "right": lambda t: t + 1e6 + OFFSET_US + GAIN * (t - middle)}
+    clocks = {"left": lambda t: t + 1e6, "alone": lambda t: 1.01 * t}
+    clocks["right"] = lambda t: t + 1e6 + OFFSET_US + GAIN * (t - middle)
     for name, clock in clocks.items():
-        camera = VirtualCamera(SECTIONS[name], SEED)
+        camera = VirtualCamera(SECTIONS["left" if name == "left" else "right"], SEED)
         (folder / name).mkdir()
         for number, pose in enumerate(POSES, 1):
             record(camera, pose, number, folder / name / f"pose-{number}.raw", clock)
@@ -53,13 +57,34 @@ def folder(tmp_path_factory):
 
 
 def test_rotation_and_clocks_are_those_of_the_simulated_rig(capsys, folder):
-    answer = json.loads(out_of(capsys, "rig", folder / "left", folder / "right", "--sync", "--json"))
+    words = ("rig", folder / "left", folder / "right", "--sync")
+    answer = json.loads(out_of(capsys, *words, "--json"))
     truths = (bench_config(SECTIONS[name]).truth_for(SEED) for name in ("left", "right"))
     left, right = (true_rotation(POSES[0], truth) for truth in truths)
     off = 206265 * log_map(np.array(answer["rotation"]) @ (right @ left.T).T)
     assert (np.abs(off) < 4.0 * np.array(answer["sigma_arcsec"])).all(), (off, answer["sigma_arcsec"])
     assert answer["rigid"]
+    assert len(answer["clocks"]["recordings"]) == len(POSES)
     for clock in answer["clocks"]["recordings"]:
         assert clock["offset_us"] == pytest.approx(OFFSET_US, abs=3.0 * clock["sigma_us"])
+        assert clock["period_us"] == pytest.approx(1e6 / LIGHT_HZ, abs=1.0)
         assert clock["edges"] == PERIODS
     assert answer["clocks"]["rate_ppm"] == pytest.approx(80.0, abs=3.0 * answer["clocks"]["sigma_rate_ppm"])
+
+
+def test_the_offset_is_shown_where_it_was_asked_for(capsys, folder):
+    words = ("rig", folder / "left", folder / "right")
+    shown = out_of(capsys, *words, "--sync")
+    assert re.search(r"second - first = .81[12]", shown)
+    assert "whole periods" in shown
+    assert "Clock of" not in out_of(capsys, *words)
+
+
+def test_recordings_that_are_not_synchronised_are_one_error(capsys, folder, tmp_path):
+    words = ("rig", folder / "left", folder / "alone", "--sync", "-o", tmp_path / "new")
+    assert "do not belong together" in refusal(capsys, *words)
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite(str(tmp_path / "pictures" / "pose-1.png"), np.zeros((300, 400), np.uint8))
+    words = ("rig", folder / "left", tmp_path / "pictures", "--sync", "-o", tmp_path / "new")
+    assert "RAW recordings only" in refusal(capsys, *words, status=2)
+    assert not (tmp_path / "new").exists()
