@@ -1,6 +1,7 @@
 """A scripted camera on a socket, which answers as the protocol says, but for what a test changes."""
 
 import json
+import select
 import socket
 import struct
 import threading
@@ -29,15 +30,21 @@ class Peer:
     """A camera that answers as the protocol says, but for what a test changes."""
 
     def __init__(self):
-        self.identity = dict(WHO)
-        self.biases = {"bias_diff_on": 0, "bias_diff_off": 0, "bias_fo": 0, "bias_hpf": 0, "bias_refr": 0}
         self.filters = {"afk": True, "stc": False, "trail": False, "erc": True}
-        self.trigger_in = False
+        self.biases = {"bias_diff_on": 0, "bias_diff_off": 0, "bias_fo": 0, "bias_hpf": 0, "bias_refr": 0}
+        self.trigger_in = {"enabled": False}
+        self.answers = {
+            "identify": dict(WHO),
+            "get_biases": {"biases": self.biases},
+            "get_filters": self.filters,
+            "get_trigger_in": self.trigger_in,
+            "monitor": {"temperature_c": 41.5, "illumination_lux": 120.0, "pixel_dead_time_us": 6.0},
+        }
+        self.before_answer = {}
         self.deaf_to = set()
         self.before_frame = {}
         self.frames = 10**9
         self.asked = []
-        self.kept = None
         self.closed = threading.Event()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
@@ -49,13 +56,10 @@ class Peer:
         self._thread.join(10)
 
     def send(self, kind, payload):
-        self.link.sendall(kind + struct.pack("<I", len(payload)) + payload)
+        self.link.sendall(frame(kind, payload))
 
     def answer(self, number, **values):
         self.send(b"A", json.dumps({"id": number, "ok": True, **values}).encode())
-
-    def refuse(self, number, code, message):
-        self.send(b"A", json.dumps({"id": number, "ok": False, "error": code, "message": message}).encode())
 
     def _serve(self):
         try:
@@ -71,60 +75,33 @@ class Peer:
         assert head[:1] == b"Q"
         request = json.loads(exactly(self.link, struct.unpack("<I", head[1:])[0]))
         self.asked.append(request["cmd"])
-        self.kept = request.get("frames")
         return request
 
     def _handle(self, request):
-        if request["cmd"] not in self.deaf_to:
-            getattr(self, "do_" + request["cmd"])(request["id"], request)
+        command, number = request["cmd"], request["id"]
+        if command in self.deaf_to:
+            return
+        self.before_answer.get(command, self._set)(request)
+        self.answer(number, **self.answers.get(command, {}))
+        if command == "start":
+            self._stream()
 
-    def do_identify(self, number, _):
-        self.answer(number, **self.identity)
+    def _set(self, request):
+        match request["cmd"]:
+            case "set_bias":
+                self.biases[request["name"]] = request["value"]
+            case "set_filter":
+                self.filters[request["name"]] = request["enabled"]
+            case "set_trigger_in":
+                self.trigger_in["enabled"] = request["enabled"]
 
-    def do_get_biases(self, number, _):
-        self.answer(number, biases=self.biases)
-
-    def do_set_bias(self, number, request):
-        self.biases[request["name"]] = request["value"]
-        self.answer(number)
-
-    def do_get_filters(self, number, _):
-        self.answer(number, **self.filters)
-
-    def do_set_filter(self, number, request):
-        self.filters[request["name"]] = request["enabled"]
-        self.answer(number)
-
-    def do_get_trigger_in(self, number, _):
-        self.answer(number, enabled=self.trigger_in)
-
-    def do_set_trigger_in(self, number, request):
-        self.trigger_in = request["enabled"]
-        self.answer(number)
-
-    def do_monitor(self, number, _):
-        self.answer(number, temperature_c=41.5, illumination_lux=120.0, pixel_dead_time_us=6.0)
-
-    def do_stop(self, number, _):
-        self.answer(number)
-
-    def do_start(self, number, _):
-        self.answer(number)
-        self.link.setblocking(False)
+    def _stream(self):
+        """Send words until a request comes, and as a camera does, some more before its answer."""
         for step in range(self.frames):
             self.before_frame.get(step, lambda: None)()
-            self.link.setblocking(True)
             self.send(b"D", words_of(step))
-            self.link.setblocking(False)
-            try:
-                if self.link.recv(1, socket.MSG_PEEK) is not None:
-                    break
-            except BlockingIOError:
-                continue
-        self.link.setblocking(True)
-        self._stop_with_a_last_frame()
-
-    def _stop_with_a_last_frame(self):
+            if select.select([self.link], [], [], 0.0)[0]:
+                break
         request = self._request()
         if request["cmd"] not in self.deaf_to:
             self.send(b"D", words_of(10**6))

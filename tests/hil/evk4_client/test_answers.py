@@ -25,11 +25,8 @@ def test_a_late_answer_is_not_taken_for_the_next_one(peer, connect):
     with pytest.raises(ReplyTimeout):
         camera.temperature_c()
     clock.hurry = False
-    peer.do_get_filters = lambda number, _: (
-        peer.answer(number - 1, temperature_c=41.5),
-        peer.answer(number, afk=False),
-    )
-    assert camera.filters() == {"afk": False}
+    peer.before_answer["get_filters"] = lambda request: peer.answer(request["id"] - 1, temperature_c=41.5)
+    assert camera.filters() == peer.filters
 
 
 @pytest.mark.parametrize(
@@ -42,7 +39,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(peer, connect):
     ],
 )
 def test_an_answer_of_another_shape_is_refused(peer, connect, change, message):
-    peer.identity.update(change)
+    peer.answers["identify"].update(change)
     with pytest.raises(ReplyGarbled, match=message):
         connect()
 

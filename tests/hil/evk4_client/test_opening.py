@@ -32,12 +32,12 @@ def test_an_address_without_host_and_port_is_told(address):
 
 
 def test_a_bias_that_does_not_stick_is_noticed(peer, connect):
-    peer.do_set_bias = lambda number, _: peer.answer(number)
+    peer.before_answer["set_bias"] = lambda _: None
     with pytest.raises(CameraSettingRefused, match="reads back"):
         connect().apply(CameraSettings({"bias_fo": 10}))
 
 
 def test_a_filter_that_stays_on_is_noticed(peer, connect):
-    peer.do_set_filter = lambda number, _: peer.answer(number)
+    peer.before_answer["set_filter"] = lambda _: None
     with pytest.raises(CameraSettingRefused, match="filters afk, erc"):
         connect().apply(CameraSettings())
