@@ -49,23 +49,6 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     called("verify", folder, home=home)
 
 
-@pytest.mark.slow  # tests/unit/bench/run/test_control.py aborts in one process
-def test_an_abort_from_another_terminal_ends_safely_and_the_run_can_be_resumed(home, tmp_path, process):
-    folder = tmp_path / "run"
-    wait_for(process, folder, entering("slewing", 2))
-    assert send(folder, Command(word="hold", by="ada"))["taken"]  # it waits, however slow a command starts
-    called("tell", folder, "abort", "--operator", "ben", home=home)
-    assert process.wait(PATIENCE_S) == 3
-    assert states(folder)[-2:] == ["aborting", "aborted"]
-    assert "abort by ben" in journal(folder)[-1]["why"]
-    late = called("tell", folder, "hold", home=home, status=1)
-    assert "No process" in late.stderr
-    before = (folder / "journal.jsonl").read_bytes()
-    planned = called("resume", folder, "--dry-run", home=home)
-    assert "Record pose 2 (right)." in planned.stdout
-    assert (folder / "journal.jsonl").read_bytes() == before
-
-
 def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
     folder = tmp_path / "run"
     question = '  - prompt: {text: "Is the cap off?", default: abort, timeout_s: 200}\n'
