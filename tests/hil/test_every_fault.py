@@ -178,4 +178,8 @@ def test_another_controller_in_its_place_is_refused_before_anything_moves(rig) -
     stood = rig.true_deg()
     with pytest.raises(WrongDevice):
         rig.stage.home()
+    rig.line.sent.clear()
+    with pytest.raises(WrongDevice, match="777"):
+        rig.reopen()
+    assert rig.line.closed
     assert rig.true_deg() == stood

@@ -143,15 +143,6 @@ def test_a_request_is_answered_as_the_protocol_specifies(
     assert gimbal.ask(request_body) == replies
 
 
-def test_an_interrupted_move_leaves_its_warning_until_cleared(homed: Gimbal):
-    homed.ask("1 1 02 move abs 90000")
-    homed.wait(0.1)
-    assert homed.ask("1 1 03 stop") == ["@01 1 03 OK BUSY NI 0"]
-    homed.wait()
-    assert homed.ask("1 1 04 warnings clear") == ["@01 1 04 OK IDLE -- 01 NI"]
-    assert homed.ask("1 1 05") == ["@01 1 05 OK IDLE -- 0"]
-
-
 def test_speed_and_acceleration_settings_make_the_ramp(homed: Gimbal):
     homed.ask(f"1 1 02 set maxspeed {round(10 * SCALE * 1.6384)}")
     homed.ask(f"1 1 03 set accel {round(50 * SCALE * 1.6384 / 10_000)}")
@@ -180,15 +171,6 @@ def test_a_stall_stops_the_axis_and_raises_its_flag_until_cleared(homed: Gimbal)
     homed.wait()
     assert homed.ask("1 1 03 get pos") == ["@01 1 03 OK IDLE FS 32000"]
     assert homed.ask("1 1 04 warnings clear") == ["@01 1 04 OK IDLE -- 01 FS"]
-
-
-def test_a_restart_in_motion_is_silence_then_a_lost_reference(homed: Gimbal):
-    homed.pan.axis.arm(MotionFault("restart", share=0.5))
-    homed.ask("1 1 02 move abs 64000")
-    homed.wait(0.3)
-    assert homed.ask("1 1 03") == []
-    homed.wait(0.5)
-    assert homed.ask("1 1 04 get pos") == ["@01 1 04 OK IDLE WR 0"]
 
 
 # ---------------------------------------------------------------- the line

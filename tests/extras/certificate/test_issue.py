@@ -318,13 +318,6 @@ def test_killed_at_any_point_the_next_command_ends_it_with_the_same_number(lab, 
     assert [path.name for path in lab.path.iterdir() if path.name.endswith(".tmp")] == []
 
 
-def test_a_command_that_ended_early_leaves_nothing_behind_and_its_number_goes_to_the_next(lab):
-    with mock.patch.object(certificate_folder, "seal_folder", side_effect=Killed), pytest.raises(Killed):
-        lab.issue("first name")
-    assert lab.issue("second name").certificate.number == FIRST
-    assert [path.name for path in lab.path.iterdir() if path.name.startswith(".first name")] == []
-
-
 def test_an_amendment_names_the_old_one_by_hash_and_what_changed(lab):
     first = lab.issue("first")
     second = lab.amend("first", "second")

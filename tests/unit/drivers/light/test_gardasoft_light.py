@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
+from drivers.errors import LightFault, SettingRefused, WrongDevice
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from simulators.lights.gardasoft import CONTINUOUS, GardasoftRt
@@ -97,11 +97,6 @@ def test_a_sync_without_a_channel_for_it_is_refused(bench) -> None:
         light.apply(FLICKER)
 
 
-def test_a_period_that_is_held_in_its_range_is_refused(light, bench) -> None:
-    with pytest.raises(SettingRefused, match="Err 5"):
-        light.apply(LightSettings(frequency_hz=2e4))
-
-
 def test_a_setting_that_does_not_stick_is_refused_with_both_values(light, bench) -> None:
     bench.turn("RT1,5.0000", "RT1,4.9000")
     with pytest.raises(SettingRefused, match=r"pulse width: .* 5\.0000 ms, .* 4\.9000 ms"):
@@ -146,10 +141,3 @@ def test_a_steady_light_that_the_controller_holds_lower_is_refused(light, bench)
     bench.turn("RS1,50.0", "RS1,40.0")
     with pytest.raises(SettingRefused, match=r"50\.0 %"):
         light.on()
-
-
-def test_a_period_beyond_all_numbers_is_no_period(light, bench) -> None:
-    light.apply(LightSettings(frequency_hz=60.0))
-    bench.line.spoil = lambda reply: reply.replace(b"TP ", b"TP " + 400 * b"9")
-    with pytest.raises(ReplyError, match="no quantity TP"):
-        light.read()

@@ -11,7 +11,6 @@ from drivers.errors import (
     NotHomed,
     OutsideLimits,
     ReplyError,
-    WrongDevice,
 )
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
@@ -85,13 +84,6 @@ def test_homing_powers_the_motors_first(bench) -> None:
 
 
 # ---------------------------------------------------------------- refused before anything moves
-def test_another_stage_is_refused_and_nothing_is_set(bench) -> None:
-    bench.tilt.exchange("9", bench.clock.now_s)
-    bench.clock.sleep(2.0)
-    with pytest.raises(WrongDevice, match=r"1264 for tilt, .* 2 .*SN9"):
-        bench.open()
-    assert bench.pan.settings["VA"] == 40.0
-    assert bench.line.closed
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from drivers.errors import (
     ReplyError,
     ReplyGarbled,
     ReplyTimeout,
-    WrongDevice,
 )
 from drivers.stage import grbl_controller
 from drivers.stage.grbl_protocol import parse_report
@@ -54,20 +53,7 @@ def test_opening_moves_nothing_and_programs_what_differs(bench) -> None:
     assert not bench.wrote_settings()
 
 
-def test_axes_go_together_and_where_one_stands_already_is_a_move_too(bench) -> None:
-    stage = bench.homed()
-    for _ in range(2):
-        stage.move_to({"pan": 7.0, "tilt": 12.0})
-        assert stage.position_deg() == {"pan": 7.0, "tilt": 12.0}
-    assert bench.motions()[0] == b"$J=G90G21G53X-11.000Y-6.000F670.8\n"
-
-
 # ---------------------------------------------------------------- refused before anything moves
-def test_another_board_is_refused_and_nothing_is_set(bench) -> None:
-    with pytest.raises(WrongDevice, match=r"gimbal-8, .*'gimbal-7'"):
-        bench.open(serial="gimbal-8")
-    assert not bench.wrote_settings()
-    assert bench.line.closed
 
 
 @pytest.mark.parametrize(
@@ -219,31 +205,12 @@ def test_homing_that_does_not_find_its_switch_has_failed(bench, monkeypatch) -> 
     assert not stage.is_homed()
 
 
-def test_homing_that_the_board_refuses_has_failed(bench) -> None:
-    stage = bench.open()
-    bench.board.settings[22] = 0
-    with pytest.raises(DriverError, match="error:5"):
-        stage.home()
-    assert not stage.is_homed()
-
-
 def test_homing_that_never_ends_is_reset(bench, monkeypatch) -> None:
     stage = bench.open()
     bench.line.lose_next(b"$H")
     with pytest.raises(MoveTimeout, match="homing has not ended"):
         stage.home()
     assert RESET in bench.line.sent
-
-
-def test_a_stop_cancels_the_jog_and_keeps_the_position(bench) -> None:
-    stage = bench.homed()
-    bench.somebody_says(JOG)
-    bench.clock.sleep(0.2)
-    stage.stop()
-    assert bench.line.sent[0] == CANCEL
-    assert RESET not in bench.line.sent
-    assert bench.at_rest()
-    assert stage.is_homed()
 
 
 # ---------------------------------------------------------------- a line that lies

@@ -15,7 +15,6 @@ from drivers.errors import (
     OutsideLimits,
     ReplyError,
     ReplyGarbled,
-    WrongDevice,
 )
 from drivers.stage import AxisLimits, ximc
 from drivers.stage.ximc import XimcAxis, XimcStage
@@ -148,13 +147,6 @@ def test_homing_that_leaves_no_reference_has_failed(bench) -> None:
 
 
 # ---------------------------------------------------------------- refused before anything moves
-def test_another_controller_is_refused_and_nothing_is_set(bench) -> None:
-    bench.tilt.exchange("999", bench.clock.now_s)
-    bench.clock.sleep(1.0)
-    with pytest.raises(WrongDevice, match="12346 for tilt, but 999 answers"):
-        bench.open()
-    assert bench.sent(b"smov", b"seds") == []
-    assert all(line.closed for line in bench.lines)
 
 
 @pytest.mark.parametrize(

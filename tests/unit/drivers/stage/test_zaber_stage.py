@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError, WrongDevice
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError
 from drivers.stage import AxisLimits
 from drivers.stage.zaber_protocol import checksum
 from tests.hil.mutated import words, zaber_line
@@ -57,14 +57,6 @@ def test_counter_zero_and_direction_are_the_station_files(bench) -> None:
     assert stage.position_deg()["pan"] == pytest.approx(3.235, abs=1e-9)
 
 
-def test_faults_are_told_in_plain_words(bench) -> None:
-    stage = bench.open()
-    assert stage.faults() == [f"{name}: no reference position (WR)" for name in ("pan", "tilt")]
-    stage.home()
-    bench.answer("02 warnings", 6, "01 WT")
-    assert stage.faults() == ["tilt: controller too hot (WT)"]
-
-
 def test_what_is_only_history_is_no_fault_and_is_cleared_before_a_move(bench) -> None:
     stage = bench.homed()
     bench.go("pan")
@@ -77,13 +69,6 @@ def test_what_is_only_history_is_no_fault_and_is_cleared_before_a_move(bench) ->
 
 
 # ---------------------------------------------------------------- refused before anything moves
-def test_another_serial_number_is_refused_and_nothing_is_set(bench) -> None:
-    bench.tilt.exchange("999999", bench.clock.now_s)
-    bench.clock.sleep(1.0)
-    with pytest.raises(WrongDevice, match=r"100102 for tilt, .* 2 has 999999"):
-        bench.open()
-    assert not [text for text in bench.requests("set") if "checksum" not in text or text.startswith("/2")]
-    assert bench.line.closed
 
 
 @pytest.mark.parametrize(
