@@ -6,7 +6,6 @@ import numpy as np
 STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-16)
 #: Flags of coefficients that are held at zero.
 RADIAL_2, NO_TANGENTIAL = cv2.CALIB_FIX_K3, cv2.CALIB_ZERO_TANGENT_DIST
-NO_LENS = cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | RADIAL_2 | NO_TANGENTIAL
 
 
 def by_opencv(views, flags):

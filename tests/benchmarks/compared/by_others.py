@@ -40,4 +40,4 @@ def calibrate_by_angles(
         raise NotConverged("The angles of one image did not determine the camera.", where=where) from error
     lengths = rms_and_mean(np.linalg.norm(fitted.bundle.residuals_px(fitted.parameters), axis=1))
     camera, sigma = fitted.parameters.camera, fitted.uncertainty.sigma
-    return MethodResult("one image, angle invariance", camera, sigma, *lengths, None)
+    return MethodResult(camera, sigma, *lengths, None)

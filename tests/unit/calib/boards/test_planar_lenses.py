@@ -3,16 +3,16 @@
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
-from opencv_planar import NO_TANGENTIAL, RADIAL_2, by_opencv
+from opencv_planar import NO_TANGENTIAL, RADIAL_2, STOP, by_opencv
 
 from calib import CalibrationOptions, View, calibrate
 from calib.boards.board import Board
-from calib.errors import CalibrationError
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.rotation import exp_map
-from tests.benchmarks.compared.reference_methods import opencv_planar
+from tests.unit.calib.conftest import FisheyeBench
 
 SIZE = (1280, 720)
 BOARD = Board("checkerboard", 9, 6, 25.0)
@@ -72,9 +72,26 @@ def test_a_camera_without_skew_gets_none():
     assert abs(calibration.camera.skew) < 1e-3
 
 
-def test_opencv_cannot_be_compared_with_skew():
-    with pytest.raises(CalibrationError, match="no skew"):
-        opencv_planar(views("k1k2skew")[0], CalibrationOptions("planar", "k1k2skew"))
+def test_a_fisheye_is_that_of_opencv():
+    bench = FisheyeBench(fx=1200.0, fy=1201.0, half_angle_deg=25.0)
+    bench.bent = (0.03, -0.05, 0.0, 0.0)
+    shown = bench.views(poses=((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60)))
+    ours = calibrate(shown, CalibrationOptions("planar", ("kb1", "kb2"), "l2")).camera
+    of_cv2 = (
+        cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_K3") else cv2
+    )  # OpenCV 5 has all flags in one place
+    held = ("FIX_K3", "FIX_K4", "FIX_SKEW", "RECOMPUTE_EXTRINSIC", "USE_INTRINSIC_GUESS")
+    _, matrix, bent, _, _ = cv2.fisheye.calibrate(
+        [np.column_stack([view.target_mm, np.zeros(len(view))])[None] for view in shown],
+        [view.points_px[None] for view in shown],
+        bench.size,
+        np.array([[1210.0, 0.0, 645.0], [0.0, 1210.0, 360.0], [0.0, 0.0, 1.0]]),
+        np.zeros(4),
+        flags=sum(getattr(of_cv2, f"CALIB_{name}") for name in held),
+        criteria=STOP,
+    )
+    np.testing.assert_allclose(ours.matrix, matrix, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(ours.fisheye_coefficients, np.ravel(bent), rtol=1e-3, atol=1e-5)
 
 
 def test_views_that_a_lens_with_too_few_coefficients_fits_badly_say_which_may_help():
