@@ -4,7 +4,7 @@
 
 RUN is a finished run. Everything is done by one process, several times. The median of the CPU time is printed, which
 other work on the computer hardly changes, and its 95th percentile. The scaling to two workers is that of
-`bench_cluster.py --only scaling`. ``--write`` puts the tables into docs/measured/costs.md.
+`bench_cluster.py`. ``--write`` puts the tables into docs/measured/costs.md.
 """
 
 import resource
