@@ -20,11 +20,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import measured
-from quick_runs import write_sequence, write_station
-from running import PATIENCE_S, STARBENCH, entering, environment, journal, start
+from quick_runs import THREE, write_sequence, write_station
+from running import PATIENCE_S, STARBENCH, entering, environment, journal, start, start_python
 from servers import MailServer, serving
 
-POSES = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
 FAULTS = {
     "pan stall": "slewing",
     "pan limit": "slewing",
@@ -58,16 +57,9 @@ class Bench:
     @classmethod
     def started(cls, station: Path, home: Path) -> Bench:
         """Start it, and wait for its ports."""
-        process = subprocess.Popen(
-            [*STARBENCH, "simulate", "--station", str(station), "--seed", "7"],
-            env=environment(home),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
+        words = ("simulate", "--station", station, "--seed", 7)
+        process = start_python(*STARBENCH[1:], *words, stdin=subprocess.PIPE, **environment(home))
         bench = cls(process)
-        assert process.stdout is not None
         while set(bench.ports) < set(re.findall(r"sim:([\w-]+)", station.read_text())):
             name, port = process.stdout.readline().split()
             bench.ports[name] = port
@@ -76,7 +68,6 @@ class Bench:
 
     def order(self, text: str) -> None:
         """Give an order."""
-        assert self.process.stdin is not None
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()
 
@@ -107,7 +98,7 @@ def measure(folder: Path, fault: str, state: str) -> str:
             for name, port in bench.ports.items():
                 text = re.sub(rf"sim:{name}(?![\w-])", port, text)
             station.write_text(text + "\n")
-            sequence = write_sequence(folder / "sequence.yaml", POSES, attempts=1)
+            sequence = write_sequence(folder / "sequence.yaml", THREE, attempts=1)
             run = folder / "run"
             process = start("run", sequence, "-s", station, "-o", run, home=folder / "home")
             while process.poll() is None and not any(map(entering(state, 2), journal(run))):

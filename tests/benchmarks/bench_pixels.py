@@ -3,8 +3,7 @@
 The work: 1280 x 720, the star target in front of an f = 3345 px camera, contrast 10 : 1, thresholds of 25 %, 60 Hz. Each
 figure is the median of some slices of one flicker period, with the 95th percentile. Heavy noise is given twice: 10 Hz
 background with 2e-4 hot pixels at 2 kHz and 12 % mismatch, as the published comparison has it, and the configuration's
-``heavy`` (20 Hz, 5e-4, 25 %). Beside them stand those of published simulators on the same kind of work, measured once on
-a machine of the same class; they are not run here.
+``heavy`` (20 Hz, 5e-4, 25 %). The page has those of published simulators on the same kind of work, measured once.
 
     python tests/benchmarks/bench_pixels.py [--write]
 """
@@ -17,7 +16,7 @@ import measured
 import numpy as np
 
 from simulators.optics import picture as optics
-from simulators.pixels.sensor import Events, Sensor
+from simulators.pixels.sensor import Sensor
 from simulators.world.truth import NOISE_LEVELS, NoiseTruth, Truth
 from simulators.world.world import LightState
 
@@ -25,25 +24,12 @@ PERIOD_US = 1e6 / 60.0
 SLICES = 6
 BUSY = NoiseTruth(mismatch=0.12, background_hz=10.0, hot_share=2e-4, hot_hz=2000.0, reset_noise=0.01)
 
-PUBLISHED = (
-    ("ESIM, square, 10 000 frames/s", 56.0),
-    ("OpenEB simulator, square, 10 000 frames/s", 66.0),
-    ("v2e clean, square, 10 000 frames/s", 139.0),
-    ("IEBCS, square, 1000 and 10 000 frames/s", 120.0),
-    ("ESIM, sine, 5000 frames/s", 43.0),
-    ("OpenEB simulator, sine, 5000 frames/s", 32.0),
-    ("v2e noisy, sine, 10 000 frames/s", 417.0),
-    ("IEBCS, sine, 1000 frames/s", 224.0),
-)
-"""CPU seconds for a simulated second; none of them models the readout."""
-
 
 @dataclass
 class Figure:
     name: str
     cpu: measured.Spread
     events_s: float
-    events: Events
 
     def __str__(self) -> str:
         return f"{self.name:44s} {self.cpu.text(2)} {self.events_s / 1e6:7.1f} Mev/s {self.event_ns:6.1f} ns/event"
@@ -64,7 +50,7 @@ def measure(name: str, picture: np.ndarray, waveform: Literal["square", "sine"],
         begin = time.process_time()
         events = sensor.run(k * PERIOD_US)
         times.append(60.0 * (time.process_time() - begin))
-    return Figure(name, measured.spread(times), len(events.t) * 60.0, events)
+    return Figure(name, measured.spread(times), len(events.t) * 60.0)
 
 
 def sensor_figures(picture: np.ndarray) -> list[Figure]:
@@ -85,13 +71,8 @@ def picture_of_a_pose() -> np.ndarray:
 
 def main() -> None:
     print("CPU time for a simulated second, this simulator (readout, link and noise included)")
-    figures = sensor_figures(picture_of_a_pose())
-    for figure in figures:
+    for figure in sensor_figures(picture_of_a_pose()):
         print(figure)
-    print("\npublished simulators, pixels only          CPU time   times this one's typical")
-    for name, cpu_s in PUBLISHED:
-        own = figures[3 if "sine" in name else 0].cpu.median_s
-        print(f"{name:44s} {cpu_s:7.1f} s {cpu_s / own:6.0f}")
 
 
 if __name__ == "__main__":

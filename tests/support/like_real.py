@@ -23,11 +23,11 @@ from calib.model.beam import visible_discs
 from calib.model.rim_fit import Disc
 from simulators.optics import picture as optics
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
+from tests.benchmarks.worlds.recordings import SIZE, read
 
 FloatArray = NDArray[np.float64]
 Figures = dict[str, float]
 
-SIZE = (2448, 2048)
 CAMERA = CameraTruth(2412.0, 2411.4, 1220.0, 1007.0, k1=-0.0895, k2=0.106, width=SIZE[0], height=SIZE[1])
 X_MM, Y_MM, R_MM, HALF_ANGLE_DEG = 95.2, 136.9, 256.0, 12.5
 """The recorded collimator's centre, and its disc."""
@@ -51,10 +51,7 @@ class Recorded(NamedTuple):
 
 def recordings(folder: Path) -> Recorded:
     """Read the recordings; turns are those that the joint adjustment finds."""
-    views = []
-    for number in range(1, 21):
-        rows = np.loadtxt(folder / f"image{number}.txt")
-        views.append(_seen(str(number), rows[:, 4].astype(np.int64), rows[:, :2] - 0.5))
+    views = read(folder)
     rotations = np.asarray(calibrate(views, CalibrationOptions()).rotations)
     return Recorded(views, rotations, visible_discs(views))
 
