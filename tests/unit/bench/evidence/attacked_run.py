@@ -16,6 +16,7 @@ from bench.report import plots
 from bench.run.launch import Launch, start_run
 from bench.solve.solution import solve_run
 from bench.stations.devices import simulated_truth
+from bench.wording.target_words import words_of
 
 CERTIFICATE = (
     "nominal_r_mm: 255, certificate: {number: C-7, r_mm: 255, uncertainty_mm: 0.1, date: 2026-01-12}}"
@@ -38,7 +39,8 @@ def kept_in_memory():
 
     def report_plots(results, views):
         stars = b"".join(view.detected.tobytes() + view.residuals.tobytes() for view in views)
-        return once("drawn", (canonical_json(results), stars), lambda: draw(results, views))
+        shown = [results["calibration"], results.get("previous"), repr(words_of(results))]
+        return once("drawn", (canonical_json(shown), stars), lambda: draw(results, views))
 
     def measure_one(kind, path, step, frequency_hz, target, expected_grid, **more):
         def make():

@@ -1,7 +1,7 @@
 """What a person did to a bench is named first, with its place, size and remedy; right statements are not accused."""
 
 import pytest
-from slow_cases import first_quick
+from slow_cases import first_quick, slow
 
 from calib.model.cause import Cause, cause_sentence
 from tests.benchmarks.worlds.mistakes import MISTAKES, mistaken
@@ -11,16 +11,10 @@ from tests.benchmarks.worlds.mistakes import MISTAKES, mistaken
     ("name", "words"),
     [
         ("camera knocked by 0.3 degrees", "The camera turned in its mount between the poses"),
-        pytest.param(
-            "pitch 4.2 instead of 4.0139 mm",
-            "the pitch of the target is probably 0.95",
-            marks=pytest.mark.slow,
-        ),
-        # These two are told in test_gimbal_readings.py too, of benches that take less time.
-        pytest.param(
-            "sign of pan", "The sign of pan or of tilt is wrong in the station file", marks=pytest.mark.slow
-        ),
-        pytest.param("scale of pan 5 % off", "The pan axis turns 0.95", marks=pytest.mark.slow),
+        slow("pitch 4.2 instead of 4.0139 mm", "the pitch of the target is probably 0.95"),
+        # These two are told in test_readings.py too, of benches that take less time.
+        slow("sign of pan", "The sign of pan or of tilt is wrong in the station file"),
+        slow("scale of pan 5 % off", "The pan axis turns 0.95"),
     ],
 )
 def test_the_cause_is_named_first_and_nothing_right_is_accused(name, words):

@@ -1,6 +1,7 @@
 """The expected uncertainty of planned poses."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -123,6 +124,25 @@ NINE = poses_of((-6.0, 0.0, 6.0), (-2.5, 0.0, 2.5))
 CERTIFICATE = Passport.of_radius(255.0, 0.05, length="seen")
 
 
+def readings(bound):
+    return GimbalReadings((), 0.002, parallax=bound, source="test")
+
+
+BOUNDED = readings(ParallaxBound(0.066, 0.001, 0.0, 0.05))
+KNOWN = {
+    "nothing": {},
+    "certificate": {"passport": CERTIFICATE},
+    "bounded": {"readings": BOUNDED},
+    "both": {"passport": CERTIFICATE, "readings": BOUNDED},
+}
+
+
+@cache
+def of_nine(known):
+    """The forecast of nine poses, with what is known."""
+    return forecast(replace(REAL, **KNOWN[known]), NINE)
+
+
 def test_a_certificate_that_does_not_say_its_length_is_expected_to_tell_less():
     """Either meaning counts by half: then the focal length, of which defocus makes another length, is open by percents."""
     seen, unsaid = (
@@ -133,17 +153,13 @@ def test_a_certificate_that_does_not_say_its_length_is_expected_to_tell_less():
     assert unsaid.sigma["fx"] > 1.5 * seen.sigma["fx"]
 
 
-def readings(bound):
-    return GimbalReadings((), 0.002, parallax=bound, source="test")
-
-
 def largest(planned):
     return max(planned.budget_rows, key=lambda row: row.share["fx"]).name
 
 
 def test_errors_of_the_collimator_dominate_and_more_poses_lower_them():
     ideal = forecast(replace(REAL, errors=CollimatorErrors()), NINE)
-    three, nine = forecast(REAL, POSES), forecast(REAL, NINE)
+    three, nine = forecast(REAL, POSES), of_nine("nothing")
     assert nine.limited["expanded_fx"] > 2.5 * ideal.limited["expanded_fx"]
     assert nine.limited["expanded_fx"] < three.limited["expanded_fx"]
     assert nine.limited["worst_corner"] < three.limited["worst_corner"]
@@ -153,18 +169,17 @@ def test_errors_of_the_collimator_dominate_and_more_poses_lower_them():
     assert sum(row.share["fx"] for row in nine.budget_rows) == pytest.approx(1.0)
 
 
-def of_pose_fields(bench, poses):
+def of_pose_fields(planned):
     """What the fields of the poses add to cy."""
-    rows = forecast(bench, poses).budget_rows
-    return next(row.contribution["cy"] for row in rows if row.name == POSE_FIELDS)
+    return next(row.contribution["cy"] for row in planned.budget_rows if row.name == POSE_FIELDS)
 
 
 def test_errors_that_differ_from_pose_to_pose_average_out():
     hand_moved = replace(REAL, errors=CollimatorErrors(rms_px=0.09, pupil_wander_mm=8.0))
     many = poses_of(np.linspace(-5, 5, 6), np.linspace(-2.5, 2.5, 6))
-    parts = [of_pose_fields(hand_moved, poses) for poses in (NINE, many)]
+    parts = [of_pose_fields(forecast(hand_moved, poses)) for poses in (NINE, many)]
     assert parts[1] < 0.8 * parts[0]
-    assert parts[0] > 3 * of_pose_fields(REAL, NINE)
+    assert parts[0] > 3 * of_pose_fields(of_nine("nothing"))
 
 
 @pytest.mark.parametrize(
@@ -177,24 +192,19 @@ def test_repeats_of_a_pose_count_as_one(bench):
 
 
 def test_more_knowledge_never_widens_a_forecast():
-    bound = readings(ParallaxBound(0.066, 0.001, 0.0, 0.05))
-    nothing, certified, read, both = (
-        forecast(replace(REAL, passport=passport, readings=given), NINE).limited
-        for passport, given in ((None, None), (CERTIFICATE, None), (None, bound), (CERTIFICATE, bound))
-    )
+    nothing, certified, read, both = (of_nine(known).limited for known in KNOWN)
     for name in ("expanded_fx", "expanded_fy", "worst_corner"):
         assert both[name] < 1.01 * min(certified[name], read[name])
         assert max(certified[name], read[name]) < 1.01 * nothing[name]
 
 
 def test_a_certificate_leaves_its_own_uncertainty():
-    planned = forecast(replace(REAL, passport=CERTIFICATE), NINE)
-    rows = {row.name: row.contribution["fx"] for row in planned.budget_rows}
+    rows = {row.name: row.contribution["fx"] for row in of_nine("certificate").budget_rows}
     assert rows[PASSPORT] == pytest.approx(3345 * 0.05 / 255, rel=0.1)
 
 
 def test_parallax_dominates_if_its_bound_is_wide():
-    narrow = forecast(replace(REAL, readings=readings(ParallaxBound(0.066, 0.001, 0.0, 0.05))), NINE)
+    narrow = of_nine("bounded")
     wide = forecast(replace(REAL, readings=readings(ParallaxBound(0.066, 0.005, 5.0, 4.0))), NINE)
     assert largest(wide) == PARALLAX
     assert largest(narrow) != PARALLAX
@@ -203,9 +213,9 @@ def test_parallax_dominates_if_its_bound_is_wide():
 
 
 def test_what_leaves_the_focal_length_to_the_stars_is_named():
-    assert "Nothing but the stars" in forecast(REAL, NINE).remarks[0]
-    assert forecast(replace(REAL, passport=CERTIFICATE), NINE).remarks == ()
-    assert "bound the parallax" in forecast(replace(REAL, readings=readings(None)), NINE).remarks[0]
+    assert "Nothing but the stars" in of_nine("nothing").remarks[0]
+    assert of_nine("certificate").remarks == ()
+    assert "bound the parallax" in forecast(replace(REAL, readings=readings(None)), POSES).remarks[0]
 
 
 def test_a_passport_from_views_makes_one_pose_enough():

@@ -1,6 +1,7 @@
 """Two cameras on one rig, against the truth of drawn rigs."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,19 +15,21 @@ from calib.errors import DegenerateViews, InputMismatch
 from calib.model.rotation import exp_map, log_map
 from calib.studies.rig import stated_cameras, through_collimator
 from calib.studies.rig_boards import with_boards
+from tests.unit.calib.conftest import Bench
 
 TURN = exp_map(np.deg2rad([0.5, -1.0, 3.0]))
 
 
-def two_cameras(bench, seed, model="spherical"):
-    rng = np.random.default_rng(seed)
+@cache
+def two_cameras(seed, model="spherical"):
+    bench, rng = Bench(), np.random.default_rng(seed)
     first = bench.views(rng, 0.05)
     second = [bench.view(v.name, TURN @ r, rng, 0.05) for v, r in zip(first, bench.rotations, strict=True)]
     return tuple(calibrate(views, CalibrationOptions(model)) for views in (first, second))
 
 
-def test_the_relative_rotation_is_found_within_its_uncertainty(bench):
-    rigs = [through_collimator(*two_cameras(bench, i)) for i in range(12)]
+def test_the_relative_rotation_is_found_within_its_uncertainty():
+    rigs = [through_collimator(*two_cameras(i)) for i in range(12)]
     z = np.array([log_map(rig.rotation @ TURN.T) / np.sqrt(np.diag(rig.pose_covariance)) for rig in rigs])
     assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.3)
     assert rigs[0].views == ("pose-001", "pose-002", "pose-003")
@@ -35,8 +38,8 @@ def test_the_relative_rotation_is_found_within_its_uncertainty(bench):
 
 
 @pytest.mark.slow
-def test_what_both_cameras_say_about_one_collimator_counts_together(bench):
-    first, second = two_cameras(bench, 5, "joint")
+def test_what_both_cameras_say_about_one_collimator_counts_together():
+    first, second = two_cameras(5, "joint")
     errors = second.rotation_errors
     other = replace(errors, names=tuple(f"other {name}" for name in errors.names))
     rig = through_collimator(first, second)
@@ -49,7 +52,7 @@ def test_what_both_cameras_say_about_one_collimator_counts_together(bench):
 def test_intrinsics_from_other_views_count_with_their_uncertainty(bench):
     z, sharper = [], []
     for seed in range(8):
-        pair = two_cameras(bench, seed)
+        pair = two_cameras(seed)
         rng, stated = np.random.default_rng([3, seed]), []
         for calibration in pair:
             sigma = 0.3 * np.sqrt(np.diag(calibration.camera_covariance))
@@ -63,8 +66,8 @@ def test_intrinsics_from_other_views_count_with_their_uncertainty(bench):
     assert np.all(sharper)
 
 
-def test_intrinsics_that_contradict_the_views_or_are_of_another_camera_are_refused(bench):
-    first, second = two_cameras(bench, 1)
+def test_intrinsics_that_contradict_the_views_or_are_of_another_camera_are_refused():
+    first, second = two_cameras(1)
     camera = first.camera
     longer = camera.with_values(camera.values * np.where(np.arange(len(camera.values)) < 2, 1.05, 1.0))
     with pytest.raises(InputMismatch, match="contradicts its views"):
@@ -73,8 +76,8 @@ def test_intrinsics_that_contradict_the_views_or_are_of_another_camera_are_refus
         through_collimator(first, second, (None, (replace(camera, image_size=(640, 480)), None)))
 
 
-def test_a_rig_that_flexed_is_recognised(bench):
-    first, second = two_cameras(bench, 3)
+def test_a_rig_that_flexed_is_recognised():
+    first, second = two_cameras(3)
     bent = second.rotations.copy()
     bent[1] = exp_map(np.deg2rad([0.0, 0.0, 0.05])) @ bent[1]
     rig_found = through_collimator(first, replace(second, rotations=bent))
@@ -82,8 +85,8 @@ def test_a_rig_that_flexed_is_recognised(bench):
     assert np.linalg.norm(rig_found.residuals_arcsec, axis=1).argmax() == 1
 
 
-def test_cameras_that_share_no_pose_have_no_relative_rotation(bench):
-    first, second = two_cameras(bench, 4)
+def test_cameras_that_share_no_pose_have_no_relative_rotation():
+    first, second = two_cameras(4)
     renamed = tuple(replace(view, name=f"other {view.name}") for view in second.views)
     with pytest.raises(DegenerateViews, match="share no pose"):
         through_collimator(first, replace(second, views=renamed))
