@@ -101,18 +101,6 @@ def test_shifted_ids_of_a_view_do_not_deny_the_bound():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("world", "seed"),
-    [("S1", 406), ("S1", 407), ("product-S1", 404)],
-)
-def test_three_poses_of_a_mount_moved_by_hand_are_covered_with_nothing_stated(world, seed):
-    """Each is 1.7 to 2.7 U wrong in one of both ways."""
-    bench = WORLDS[world](seed, 3, 1, 0)
-    result = calibrate(views_of(bench), CalibrationOptions())
-    assert max(over_u(result, bench.camera.values, ("fx", "cx", "cy"))) < 1.3
-
-
-@pytest.mark.slow
 def test_errors_of_poses_on_a_gimbal_are_not_taken_for_a_hand():
     """The places of a hand are free: they explain the errors better, by 17 in 2 log of the likelihood."""
     bench = record(draw_world(0), 0, nested_poses(0)[:4])

@@ -19,7 +19,7 @@ from calib.joint.solve import search_with_fault
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.result_parts import PUPILS
 from tests.benchmarks.worlds.catalogue import WORLDS
-from tests.benchmarks.worlds.knowledge import options_for, views_of
+from tests.benchmarks.worlds.knowledge import views_of
 from tests.support.drawn_benches import NINE, THREE, draw_bench
 from tests.unit.calib.conftest import over_u
 
@@ -82,23 +82,6 @@ def test_prior_information_is_the_inverse_of_the_covariance(optimum):
     information, logarithm = random.information(squares)
     assert np.abs(information @ covariance - np.eye(len(covariance))).max() < 1e-6
     assert logarithm == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-9)
-
-
-@pytest.mark.slow
-def test_a_search_that_begins_badly_ends_where_the_camera_is():
-    """Its first steps are long with any amplitudes. If it kept those of the start, fx would be 5 U wrong."""
-    bench = WORLDS["S1"](76, 9, 1, 0)
-    result = calibrate(views_of(bench), CalibrationOptions("joint"))
-    assert abs(result.camera.fx - bench.camera.values["fx"]) < 2.0 * result.sigma["fx"]
-    assert result.sigma["fx"] < 100.0
-
-
-@pytest.mark.slow
-def test_three_poses_whose_discs_show_no_gimbal_are_calibrated_without_one():
-    """A hand moved the mount. As if on a gimbal, fx was 43 px wrong with U of 32 px."""
-    bench = WORLDS["product-S1"](73, 3, 1, 0)
-    result = calibrate(views_of(bench), options_for(bench, "0"))
-    assert max(over_u(result, bench.camera.values, ["fx"])) < 1.0
 
 
 def test_places_elsewhere_come_back(optimum):
