@@ -34,9 +34,3 @@ def test_each_target_of_make_exists():
     assert {
         name for name in targets if not re.search(rf"(?m)^(?:[a-z-]+ )*{name}(?: [a-z-]+)*:", MAKEFILE)
     } == set()
-
-
-def test_every_place_that_is_named_exists():
-    named = re.findall(r"`((?:bench|calib|drivers|sequences|simulators|tests)/[\w/.]+)`", TEXT)
-    assert len(named) > 10
-    assert [place for place in named if not (ROOT / place).exists()] == []

@@ -11,6 +11,7 @@ from station_texts import PLAIN, station_of, without
 from bench.plan.plan import load_documents, make_plan
 from bench.stations.station import Station
 from bench.stations.station_fields import DrawingConfig, TargetConfig
+from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 from sequences.schema import (
     DefaultConfig,
@@ -33,6 +34,7 @@ EXAMPLES = [
     for name, document in DOCS.items()
     for text in re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
 ]
+SETTINGS = (FlickerConfig, SettleConfig, GateConfig, RecordConfig, SolveConfig, LimitConfig, DefaultConfig)
 SCRIPT = "format: starbench/sequence/1\nname: x\nsteps: [light]\n"
 
 
@@ -61,34 +63,30 @@ def test_every_word_of_the_language_is_in_the_table_of_steps():
     assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == list(StepConfig.model_fields)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [FlickerConfig, SettleConfig, GateConfig, RecordConfig, SolveConfig, LimitConfig, DefaultConfig],
-    ids=lambda words: words.__name__,
-)
-def test_every_setting_is_named_in_the_document(words):
-    assert [name for name in words.model_fields if name not in DOCS["sequences"]] == []
+def names_in(schema):
+    """Names of the settings of a schema, and of all that it holds."""
+    for part in (schema, *schema.get("$defs", {}).values()):
+        for name, inner in part.get("properties", {}).items():
+            yield name
+            yield from names_in(inner)
 
 
-def test_every_key_of_a_plan_is_named_in_the_document():
-    made = make_plan(*load_documents("three_pose", "simulated")).to_dict()
-    keys = {*made, *made["poses"][0], *made["steps"][1], "line", "column", "path", "message"}
-    assert sorted(key for key in keys if f"`{key}`" not in DOCS["sequences"]) == []
+PLANNED = make_plan(*load_documents("three_pose", "simulated")).to_dict()
+NAMES = {
+    "sequences": {
+        *(name for words in SETTINGS for name in words.model_fields),
+        *(f"`{name}`" for part in (PLANNED, PLANNED["poses"][0], PLANNED["steps"][1]) for name in part),
+        *("`line`", "`column`", "`path`", "`message`"),
+    },
+    "stations": set(names_in(Station.model_json_schema())),
+    "batches": {*Queue.model_fields, *JobConfig.model_fields},
+}
 
 
-def test_every_key_of_a_station_is_named_in_the_document():
-    keys: set[str] = set()
-
-    def gather(schema: dict) -> None:
-        for name, inner in schema.get("properties", {}).items():
-            keys.add(name)
-            gather(inner)
-
-    schema = Station.model_json_schema()
-    gather(schema)
-    for inner in schema["$defs"].values():
-        gather(inner)
-    assert sorted(key for key in keys if key not in DOCS["stations"]) == []
+@pytest.mark.parametrize("page", NAMES)
+def test_every_setting_and_every_key_of_a_plan_is_named_in_its_document(page):
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    assert sorted(name for name in NAMES[page] if name not in text) == []
 
 
 def test_every_key_of_a_target_is_explained_in_its_document():

@@ -35,6 +35,14 @@ def test_every_link_leads_somewhere(path):
     assert list(broken(path)) == []
 
 
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/architecture.md"])
+def test_every_place_that_is_named_exists(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    named = re.findall(r"`((?:bench|calib|drivers|sequences|simulators|tests)/[\w/.-]+)`", text)
+    assert len(named) > 10
+    assert [place for place in named if not (ROOT / place).exists()] == []
+
+
 def test_the_index_lists_every_document():
     listed = set(LINK.findall((ROOT / "docs" / "pages.md").read_text(encoding="utf-8")))
     documents = {str(path.relative_to(ROOT / "docs")) for path in (ROOT / "docs").rglob("*.md")}

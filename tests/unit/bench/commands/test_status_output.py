@@ -5,11 +5,12 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
+from journals import made_batch
 from rich.console import ConsoleDimensions
 from terminal_screen import Screen, Terminal
 
 from bench.base.text_block import Block
-from bench.batch.batch_status import BatchStatus
+from bench.batch.batch_status import read_batch_status
 from bench.commands.status import follow, status
 from bench.record.events import Event
 from tests.unit.bench.run.test_status import Run
@@ -104,24 +105,20 @@ def test_a_name_cannot_move_the_cursor(capsys, monkeypatch):
 
 
 def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, capsys, monkeypatch):
-    (tmp_path / "queue.yaml").write_text("")
-    (tmp_path / "journal.jsonl").write_text("")
-    first = BatchStatus(
-        folder=str(tmp_path), queue="night", zone=None, running=True, rehearsal=False, simulated=False,
-        ended="", why="", done=(), current_run="a-001: slewing", upcoming=(), withdrawn=(),
-    )  # fmt: skip
+    begun = read_batch_status(made_batch(tmp_path / "night").folder)
+    first = replace(begun, running=True, current_run="a-001: slewing", upcoming=())
     statuses = [
         first,
         replace(first, current_run="a-001: recording"),
         replace(first, running=False, ended="aborted", why="by ada@lab", current_run=""),
     ]
     monkeypatch.setattr("bench.batch.batch_status.follow_batch", lambda _folder, *, ticks: iter(statuses))
-    assert status.callback(tmp_path, follow=True, summary=False) == 3
+    assert status.callback(tmp_path / "night", follow=True, summary=False) == 3
     lines = capsys.readouterr().out.splitlines()
     assert lines[:4] == [
-        "Batch night: running",
+        "Batch Night: running",
         "0 runs with a result, 0 without",
         "In progress: a-001: slewing",
         "In progress: a-001: recording",
     ]
-    assert lines[4] == "Batch night: aborted: by ada@lab"
+    assert lines[4] == "Batch Night: aborted: by ada@lab"
