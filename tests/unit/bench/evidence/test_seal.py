@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from refusals import denied
 
 from bench.base.errors import EvidenceError, StorageError
-from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
+from bench.evidence.seal import make_manifest, read_manifest, seal
 from bench.evidence.ssh_keys import string, strings
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.record.journal import Journal
@@ -125,17 +125,6 @@ def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "scandir", scandir)
     with pytest.raises(StorageError, match="exports: No permission"):
         make_manifest(tmp_path)
-
-
-def test_everything_is_listed_with_what_it_is(tmp_path):
-    (tmp_path / "a" / "b").mkdir(parents=True)
-    (tmp_path / "a" / "b" / "file").write_text("")
-    links = {"a/to-file": "b/file", "a/to-folder": "b", "dangling": "nowhere"}
-    for name, target in links.items():
-        (tmp_path / name).symlink_to(target)
-    os.mkfifo(tmp_path / "pipe")
-    kinds = {"a/b/file": "file", **dict.fromkeys(links, "link"), "pipe": "special file"}
-    assert list_files(tmp_path) == kinds
 
 
 H = "0" * 64
