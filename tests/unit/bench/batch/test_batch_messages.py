@@ -67,22 +67,22 @@ def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messa
     assert delivered(outbox) == [("failure", "by itself")]
 
 
-def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, messages):
-    fault = "the light of a dead process could not be made safe: gone"
-    ends = [DeviceEnd("stage", "confirmed safe", "it stands"), DeviceEnd("light", "not confirmed", fault)]
+LEFT = [DeviceEnd("stage", "confirmed safe", "it stands"), DeviceEnd("light", "not confirmed", "gone")]
+
+
+@pytest.mark.parametrize(
+    ("ends", "told"),
+    [(LEFT, ["stage: confirmed safe", "light: not confirmed: gone"]), ([], ["No device was asked"])],
+)
+def test_a_message_says_how_each_device_was_left_and_claims_nothing_where_nobody_asked(
+    tmp_path, outbox, messages, ends, told
+):
+    """Once every such message said: its stage is stopped, its light is off."""
     end = WorkerEnd("died", "by SIGKILL", 0.0, ends)
     messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", end, "a" * 64)
     ((_, delivery),) = outbox.deliveries()
-    assert f"light: not confirmed: {fault}" in delivery.message.text
-    assert "stage: confirmed safe" in delivery.message.text
-
-
-def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messages):
-    """Once every such message said: its stage is stopped, its light is off."""
-    messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
-    ((_, delivery),) = outbox.deliveries()
-    assert "No device was asked" in delivery.message.text
-    assert "safe" not in delivery.message.text
+    assert all(fact in delivery.message.text for fact in told)
+    assert ("safe" in delivery.message.text) is bool(ends)
 
 
 def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, outbox, messages, capsys):

@@ -10,7 +10,6 @@ from bench.batch.virtual_devices import VirtualCamera
 from bench.record.events import Event
 from bench.run.interlocks import Interlocks
 from bench.run.messages.run_messages import HoldNotifier
-from bench.run.status import read_status, status_text
 
 
 def scene_with_door(tmp_path, monkeypatch, max_hold_s=600):
@@ -105,23 +104,6 @@ def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, 
     assert scene.run().how == "finished"
     assert len(scene.data_of(Event.INTERLOCK_RELEASED)) == 6
     assert [occasion for occasion, _, _ in messages] == ["hold", "hold"]
-
-
-def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):
-    scene, sensor = scene_with_door(tmp_path, monkeypatch)
-    sensor.write_text("0")
-    texts = []
-
-    def hook(name):
-        if scene.runner is not None and scene.runner.state == "holding":
-            texts.append(status_text(read_status(scene.folder)))
-            sensor.write_text("1")
-
-    scene.hook = hook
-    assert scene.run().how == "finished"
-    assert any("HELD by the door interlock: it is open" in text for text in texts)
-    assert any("the run continues when this is over" in text for text in texts)
-    assert "HELD" not in status_text(read_status(scene.folder))
 
 
 def test_stray_light_holds_the_run_until_it_is_dark_again(tmp_path, monkeypatch):

@@ -86,16 +86,28 @@ def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run):
 
 
 @pytest.mark.parametrize(
-    ("event", "data"),
+    ("event", "data", "told"),
     [
-        (Event.ENTERING, {"state": "interlocked", "rule": "temperature", "why": "41 C", "pose": 1}),
-        (Event.ASKED, {"step": 2, "text": "Is the cap off?", "default": "yes", "timeout_s": 600.0}),
+        (
+            Event.ENTERING,
+            {"state": "holding", "rule": "door", "why": "it is open", "pose": 1},
+            "HELD by the door interlock: it is open",
+        ),
+        (
+            Event.ASKED,
+            {"step": 2, "text": "Is the cap off?", "default": "yes", "timeout_s": 600.0},
+            "Is the cap off?",
+        ),
     ],
     ids=["an interlock", "a question"],
 )
-def test_while_a_run_waits_its_time_left_does_not_pass(run, event, data):
+def test_while_a_run_waits_it_says_for_what_and_its_time_left_does_not_pass(run, event, data, told):
     run.tell(event, **data)
-    assert run.status(after_s=1000.0).left_s == pytest.approx(plan()["duration_s"], abs=0.1)
+    status = run.status(after_s=1000.0)
+    assert told in status_text(status)
+    assert status.left_s == pytest.approx(plan()["duration_s"], abs=0.1)
+    run.tell(Event.RUN_ENDED, how="aborted", why="")
+    assert "HELD" not in status_text(run.status())
 
 
 def test_a_sealed_run_whose_journal_was_emptied_is_not_called_interrupted_or_finished(run):
