@@ -105,6 +105,13 @@ def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, ca
     assert line_text(read_journal(scene.folder / "journal.jsonl")[0][-1]).endswith("light may be on.")
 
 
+def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
+    assert show_run(RunEnd("failed", "the port is missing", tmp_path, None)) == 1
+    errors = capsys.readouterr().err
+    assert "Look at the bench" in errors
+    assert "moved nothing" not in errors
+
+
 def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_each_confirmed(
     tmp_path, monkeypatch, capsys
 ):

@@ -56,9 +56,12 @@ def chart_of(page, name="fx"):
     [
         (run(1, simulated=True), DETAILS, PLACE),
         (run(1, rehearsal=True), DETAILS, PLACE),
+        (run(1, model="planar"), DETAILS, PLACE),
         (run(1, station="Bench 2"), DETAILS, PLACE),
         (run(1, parameters={"fx": Estimate(1.0, 1.0), "k1": Estimate(1.0, 1.0)}), DETAILS, PLACE),
         (run(1), {**DETAILS, "target_serial": "T-2"}, PLACE),
+        (run(1), {**DETAILS, "collimator_serial": "C-2"}, PLACE),
+        (run(1), {**DETAILS, "camera_type": "Other"}, PLACE),
         (run(1), DETAILS, RunPlace("bench@lab", "xyz", "entered")),
     ],
 )

@@ -57,9 +57,12 @@ ATTACKS = [
     Attack("verdict of a gate", line("attempt_checked", lambda d: d["gates"][1].update(verdict="fail")), "results.json", "results"),
     Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "journal.jsonl", "journal"),
     Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "journal.jsonl", "journal"),
+    Attack("verdict of the report", line("written", lambda d: d["verdict"].update(kind="fail")), "journal.jsonl", "journal"),
     Attack("no verdict in the journal", line("written", lambda d: d.pop("verdict")), "journal.jsonl", "journal"),
     Attack("a cause in journal and results", a_cause, "journal.jsonl", "journal"),
+    Attack("first line removed", drop("run_started"), "journal.jsonl:1", "journal"),
     Attack("last line removed", drop("run_ended"), "journal.jsonl", "journal"),
+    Attack("run not finished", line("run_ended", lambda d: d.update(how="aborted")), "journal.jsonl", "journal"),
     Attack("hashes of the results removed", drop("written"), "journal.jsonl", "journal"),
     Attack("hashes of the results removed, and the program that wrote them", without_program, "journal.jsonl", "journal"),
     Attack("clock moved within the run", shifted_clock, "journal.jsonl:21", "journal"),
@@ -70,6 +73,7 @@ ATTACKS = [
     Attack("covariance", result("calibration", "covariance", "matrix", 0, 0, to=1e-4), "results.json", "results"),
     Attack("results without the journal's recordings", result("poses", 1, "attempts", to=[]), "results.json", "results"),
     Attack("camera serial", result("devices", "camera", "serial", to="00050999"), "results.json", "results"),
+    Attack("error against the truth", result("comparison", 0, "error", to=0.0), "results.json", "results"),
     Attack("an approval that nobody gave", with_hashes(lambda f: f.edit_results(lambda r: r.update(approved_by="QA"))), "results.json", "results"),
     Attack("results removed", remove("results.json"), "results.json", "results"),
     Attack("results never written", without_results, "journal.jsonl", "journal"),
@@ -92,6 +96,7 @@ ATTACKS = [
     # recordings
     Attack("recording exchanged", write(CAPTURE % 2, b"% end\n"), CAPTURE % 2, "recording"),
     Attack("recording removed", remove(CAPTURE % 2), CAPTURE % 2, "recording"),
+    Attack("recording added", write("captures/pose-004-attempt-1.raw", b"% end\n"), "captures/pose-004-attempt-1.raw", "recording"),
     Attack("another camera, everywhere but in the files", other_serial, CAPTURE % 1, "recording"),
     # kind and seal
     Attack("a run without its journal", remove("journal.jsonl"), "journal.jsonl", "kind"),

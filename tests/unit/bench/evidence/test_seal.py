@@ -136,6 +136,7 @@ H = "0" * 64
         f"{H} a\n",
         f"{H} *a\n",
         f"{H[:-1]}  a\n",
+        f"{H[:-1]}G  a\n",
         f"{H}  ../a\n",
         f"{H}  /etc/passwd\n",
         f"{H}  a/./b\n",

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from bench.base.errors import RunFolderError
 from bench.evidence.keys import create_key
 from bench.evidence.seal import make_manifest, seal, seal_folder
+from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import read_signature
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import copied, kinds, reseal
@@ -94,6 +95,13 @@ def test_a_seal_that_was_stripped_or_is_a_link_is_none(sealed, signers, tmp_path
     assert kinds(verification) == [("unsealed", name)]
     assert verification.state == "DRAFT"
     assert json.loads(json.dumps(verification.to_dict()))["ok"] is False
+
+
+def test_a_listed_path_that_leads_out_is_found(sealed, signers, key):
+    manifest = b"0" * 64 + b"  ../../etc/passwd\n" + (sealed / "SHA256SUMS").read_bytes()
+    (sealed / "SHA256SUMS").write_bytes(manifest)
+    (sealed / "SHA256SUMS.sig").write_bytes(key.sign(manifest, NAMESPACE))
+    assert ("manifest", "SHA256SUMS:1") in kinds(verify_folder(sealed, signers))
 
 
 def test_nobody_trusted_means_not_verified(sealed_once):

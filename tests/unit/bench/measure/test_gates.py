@@ -35,6 +35,7 @@ def reasons(*, stars=300, measured=MEASURED, gates=GATES, frequency_hz=60.0, **c
         ({"stars": 12}, "stars 12, needed >= 40"),
         ({"measured": MEASURED | {"triggers_found": 1}}, "triggers missed 2, needed <= 1"),
         ({"measured": MEASURED | {"flicker_hz": 50.0}}, "flicker off nominal 16.6667 %"),
+        ({"measured": MEASURED | {"flicker_hz": 59.9}}, "flicker off nominal 0.166667 %"),
         ({"measured": MEASURED | {"motion_px": 0.08}}, "stars moved 0.08 px, needed <= 0.05"),
         ({"gaps": ("words are missing",)}, "data lost: words are missing"),
         ({"filters": {"afk": True}}, "on-chip filters were on: afk"),

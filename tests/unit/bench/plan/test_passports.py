@@ -309,6 +309,7 @@ def test_values_that_no_collimator_has_are_refused(values):
     ("old", "new", "says"),
     [
         ('"conditions": {', r'"conditions": {"laboratory": "\ud800",', "surrogates"),
+        ("255.0", "1e999", r"values\.2 is inf"),
         ('"disagreement": 1', '"disagreement": -1', "disagreement is -1"),
         ('"y"', '"x"', "2 parameters"),
     ],

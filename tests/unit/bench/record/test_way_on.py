@@ -18,19 +18,19 @@ def ended(kind, *, how="failed", recorded=1, accepted=True):
 @pytest.mark.parametrize(
     ("history", "command"),
     [
-        (ended("DegenerateViews"), "starbench calibrate run --model joint"),
+        (ended("DegenerateViews"), "starbench calibrate 'cam 7' --model joint"),
         (ended("OutsideLimits", recorded=0), "starbench run nine_pose --station 'my bench.yaml'"),
         (ended("PreflightFailed", recorded=0), "starbench run nine_pose --station 'my bench.yaml'"),
-        (ended("PreflightFailed"), "starbench resume run"),
-        (ended("PoseFailed"), "starbench resume run"),
+        (ended("PreflightFailed"), "starbench resume 'cam 7'"),
+        (ended("PoseFailed"), "starbench resume 'cam 7'"),
         (ended("PoseFailed", accepted=False), "starbench run nine_pose --station 'my bench.yaml'"),
-        (ended("OutsideLimits", how="aborted", recorded=0), "starbench resume run"),
-        (History(), "starbench resume run"),
+        (ended("OutsideLimits", how="aborted", recorded=0), "starbench resume 'cam 7'"),
+        (History(), "starbench resume 'cam 7'"),
     ],
 )
 def test_the_command_can_work(tmp_path, monkeypatch, history, command):
     monkeypatch.chdir(tmp_path)
-    assert way_on(history, tmp_path.relative_to(tmp_path) / "run")[1] == command
+    assert way_on(history, tmp_path.relative_to(tmp_path) / "cam 7")[1] == command
 
 
 def test_a_run_of_an_earlier_version_begins_again_with_the_copies_of_its_files(tmp_path):

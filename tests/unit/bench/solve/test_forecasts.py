@@ -8,9 +8,10 @@ from calling import out_of
 
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.solve.expectations import expected_uncertainty
-from bench.solve.forecasts import forecast_bench
+from bench.solve.forecasts import forecast_bench, suggest_poses
 from bench.stations.station import SHIPPED_STATIONS
 from calib.model.camera import distortion_names
+from calib.studies.pose_gains import distance_deg
 
 NINE = (SHIPPED_SEQUENCES / "nine_pose.yaml").read_text()
 
@@ -58,6 +59,15 @@ def test_a_limit_that_more_poses_can_meet_says_so(solved):
     (fx, *_) = expected_uncertainty(solved("{limits: {expanded_fx_px: 1.5}}")).remarks
     assert fx.startswith("U(fx) of at most 1.5 px")
     assert re.search(r"twice as many poses would leave 1\.[4-7] px\.$", fx)
+
+
+def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
+    planned = solved("{}")
+    taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
+    for pose in suggest_poses(planned, 3):
+        assert min(distance_deg(pose.angles_deg, other) for other in taken) >= 0.2
+        assert all(abs(angle) <= 15 for angle in pose.angles_deg.values())
+        taken.append(pose.angles_deg)
 
 
 def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys):
