@@ -21,6 +21,7 @@ from drivers.errors import CameraLost, CameraNotFound, RecordingFailed
 from sequences.script import Gates
 from simulators.cameras.frame_camera import SimulatedFrameCamera
 from simulators.cameras.streaming import FRAME_CAMERA_FAULTS
+from simulators.world.truth import CameraTruth, Truth
 from simulators.world.world import AxisMotion, LightState, World
 
 STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
@@ -104,7 +105,8 @@ def test_pictures_of_a_run_played_again_give_the_same_camera(finished, home, tmp
 
 @pytest.fixture
 def world():
-    world = World(seed=3, clock=time.monotonic)
+    small = CameraTruth(width=640, height=360, fx=1672.0, fy=1672.0, cx=320.0, cy=180.0)
+    world = World(Truth(camera=small), seed=3, clock=time.monotonic)
     world.set_light(STEADY)
     return world
 
@@ -140,7 +142,7 @@ def test_every_capture_shows_the_pose_and_light_of_its_own_time(world, camera, t
 
 def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars(world, camera, tmp_path):
     still = camera.capture(tmp_path / "still.tif", 2)
-    world.set_axis("pan", AxisMotion.resting(0.01, 64))
+    world.set_axis("pan", AxisMotion.resting(0.02, 128))
     camera.capture(tmp_path / "turned.tif", 2)
     frames = [*read_frames(tmp_path / "still.tif"), *read_frames(tmp_path / "turned.tif")]
     write_frames(tmp_path / "both.tif", frames)
