@@ -103,13 +103,6 @@ def quick(tmp_path_factory):
     return ("run", folder / "sequence.yaml", "-s", folder / "station.yaml", "--seed", 7), folder / "run"
 
 
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_numbers_to_the_last_digit(quick, home, tmp_path):
-    words, undisturbed = quick
-    called(*words, "-o", tmp_path / "again", home=home)
-    assert numbers(tmp_path / "again") == numbers(undisturbed)
-
-
 @pytest.mark.parametrize("reached", KILLED)
 def test_a_killed_run_resumes_to_the_same_numbers(quick, home, tmp_path, reached):
     words, undisturbed = quick

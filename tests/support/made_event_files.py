@@ -32,6 +32,16 @@ def some_events(n=5000, *, step_us=7):
     return rows
 
 
+def drawn_rows(seed, n, size, *, from_us, span_us):
+    """Columns t, x, y and p of some events."""
+    chance = np.random.default_rng(seed)
+    t = from_us + np.sort(chance.integers(0, span_us, n))
+    return {
+        "t": t,
+        **{name: chance.integers(0, most, n) for name, most in zip("xyp", (*size, 2), strict=True)},
+    }
+
+
 def same(ours, theirs):
     return all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 

@@ -3,19 +3,14 @@
 import numpy as np
 import pytest
 from imported import import_events
+from made_event_files import drawn_rows
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats.event_conversion import convert
 
 N = 5000
 SIZE = (1280, 720)
-CHANCE = np.random.default_rng(8)
-ROWS = {
-    "t": 1000 + np.sort(CHANCE.integers(0, 500_000, N)),
-    "x": CHANCE.integers(0, SIZE[0], N),
-    "y": CHANCE.integers(0, SIZE[1], N),
-    "p": CHANCE.integers(0, 2, N),
-}
+ROWS = drawn_rows(8, N, SIZE, from_us=1000, span_us=500_000)
 
 
 def assert_same(columns, *, begins_at_0=False):

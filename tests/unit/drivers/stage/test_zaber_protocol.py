@@ -62,6 +62,22 @@ def test_no_reply_with_one_byte_changed_is_taken(place, value) -> None:
             parse_reply(bytes(line))
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        GOOD.replace(b"\r\n", b"\r"),
+        GOOD.replace(b"\r\n", b"\n"),
+        b"/1 1 05 get pos:28\n" + GOOD,
+        GOOD.replace(b":D2", b""),
+        *map(sealed, ("01 1 OK BUSY -- 0", "1 1 05 OK BUSY -- 0", "01 1 05 ok BUSY -- 0")),
+        *map(sealed, ("01 1 05 OK Busy -- 0", "01 1 05 OK BUSY 0")),
+    ],
+)
+def test_a_reply_of_another_form_is_not_taken(line) -> None:
+    with pytest.raises(ReplyGarbled):
+        parse_reply(line)
+
+
 @given(st.binary(max_size=60))
 def test_noise_is_refused_and_nothing_else_happens(noise) -> None:
     with pytest.raises(ReplyGarbled):

@@ -11,8 +11,7 @@ import pytest
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError
 from drivers.stage import AxisLimits
 from drivers.stage.zaber_protocol import checksum
-from tests.hil.mutated import words, zaber_line
-from tests.unit.drivers.stage.zaber_bench import SCALE, Bench
+from tests.unit.drivers.stage.zaber_bench import SCALE, Bench, words, zaber_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -196,11 +195,15 @@ def test_an_axis_with_a_fault_is_not_moved_until_it_is_homed_again(bench, flag) 
 
 
 @pytest.mark.parametrize(
-    ("words", "data"), [("01 get pos", "12.5"), ("01 get pos", "1_0"), ("01 warnings", "02 WR")]
+    ("asked_of", "place", "word"),
+    [
+        *(("01 get pos", place, word) for place, word in ((0, "02"), (1, "2"), (6, "12.5"), (6, "1_0"))),
+        ("01 warnings", 6, "02 WR"),
+    ],
 )
-def test_well_formed_nonsense_is_refused(bench, words, data) -> None:
+def test_well_formed_nonsense_is_refused(bench, asked_of, place, word) -> None:
     stage = bench.homed()
-    bench.answer(words, 6, data)
+    bench.answer(asked_of, place, word)
     with pytest.raises(ReplyError):
         stage.move_to({"pan": 1.0})
     assert bench.motions() == []

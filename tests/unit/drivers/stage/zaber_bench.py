@@ -8,9 +8,23 @@ from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController
 from tests.hil.direct_stages import HomedStage, VirtualClock, direct_line
-from tests.hil.mutated import put
 
 SCALE = 1000
+
+
+def zaber_line(body: str) -> bytes:
+    """Return a reply line with its checksum."""
+    return f"@{body}:{-sum(body.encode()) & 0xFF:02X}\r\n".encode()
+
+
+def words(change: Callable[[list[str]], list[str]]) -> Callable[[bytes], bytes]:
+    """Change the words of replies (device, axis, id, verdict, state, flag, data ...) and seal them anew."""
+    return lambda answer: b"".join(
+        zaber_line(" ".join(change(body.decode().split(" "))))
+        for body in re.findall(rb"@(.*?):..\r\n", answer)
+    )
+
+
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 
 
@@ -54,10 +68,10 @@ class Bench(HomedStage):
         """Somebody else moves an axis."""
         getattr(self, name).execute(1, ["move", "abs", str(counts)], self.clock.now_s)
 
-    def answer(self, words: str, place: int, word: str) -> Callable[[], None]:
+    def answer(self, asked_of: str, place: int, word: str) -> Callable[[], None]:
         """Replace a word of the replies to a request (verdict 3, state 4, flag 5, data 6) until the result is called."""
-        changed = put(place, lambda _word: word)
-        device, _, asked = words.partition(" ")
+        changed = words(lambda reply: [*reply[:place], word, *reply[place + 1 :]])
+        device, _, asked = asked_of.partition(" ")
 
         def spoil(reply: bytes) -> bytes:
             is_meant = self.requests(asked)[-1:] == [self.line.sent[-1].decode().split(":")[0]]

@@ -10,7 +10,7 @@ from simulators.cameras.streaming import StreamFaults
 from simulators.config import BenchConfig
 from simulators.errors import ConfigError
 from simulators.faults.camera_hands import CameraHands
-from simulators.faults.catalogue import fault_order_from_text, faults_of
+from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.lamp import Lamp
@@ -155,8 +155,3 @@ def test_an_order_that_makes_no_sense_here_names_its_key_and_changes_nothing(ben
         bench.order(text)
     assert caught.value.where == where
     assert bench.changes == 0
-
-
-ORDERS = [
-    f"{device} {fault}" for device in ("pan", "gimbal", "light", "camera") for fault in faults_of(device)
-]

@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 from imported import import_events
+from made_event_files import drawn_rows
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.file_kinds import FORMS_OF_EVENTS
@@ -15,15 +16,7 @@ N = 1200
 SIZE = (346, 260)
 SIZED = ReadingChoices(SIZE)
 YEAR_2020_US = 1_600_000_000_000_000
-
-
-def some_events():
-    chance = np.random.default_rng(5)
-    columns = {"x": chance.integers(0, SIZE[0], N), "y": chance.integers(0, SIZE[1], N)}
-    return {"t": 500 + np.arange(N) * 41, **columns, "p": chance.integers(0, 2, N)}
-
-
-ROWS = some_events()
+ROWS = drawn_rows(5, N, SIZE, from_us=500, span_us=49_200)
 
 
 def columns(group, names="txyp", kinds=("u4", "u2", "u2", "u1"), **stored):

@@ -1,4 +1,4 @@
-"""EVT2 and DAT files, those written by programs nobody here wrote among them."""
+"""EVT2 and DAT files; test_events_of_other_programs.py reads those of programs that nobody here wrote."""
 
 import tracemalloc
 
@@ -7,15 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from imported import import_events
-from made_event_files import DAT_HEAD, EVT2_HEAD, assert_same, dat_rows, evt2_words, evt21_words, some_events
+from made_event_files import DAT_HEAD, assert_same, dat_rows, evt2_words, evt21_words, some_events
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.prophesee_words import Evt2Decoder
 from drivers.camera.raw_check import WORD_BYTES
 from drivers.errors import NotARecording, RecordingFileError
-
-ORIGIN_US = 1_700_000_000_000_000
 
 
 def test_evt2_by_hand(tmp_path):
@@ -37,36 +35,6 @@ def test_evt2_by_hand(tmp_path):
     assert imported.events.p.tolist() == [1, 0, 1]
     edges = imported.triggers
     assert (edges.t.tolist(), edges.value.tolist(), edges.id.tolist()) == ([134], [1], [1])
-
-
-def test_files_written_by_faery(tmp_path):
-    faery = pytest.importorskip("faery")
-    rows = some_events()
-    stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(640, 480))
-    path = tmp_path / "a.raw"
-    stream.to_file(path, version="evt2")
-    imported = import_events(path)
-    assert (imported.width, imported.height) == (640, 480)
-    assert_same(imported, rows, origin_us=int(rows["t"][0]) - int(imported.events.t[0]))
-
-
-@pytest.mark.parametrize("kind", ["evt2", "dat"])
-def test_another_reader_finds_the_same_events(tmp_path, kind):
-    expelliarmus = pytest.importorskip("expelliarmus", reason="pip install expelliarmus")
-    rows = some_events(step_us=11)
-    path = tmp_path / ("a.raw" if kind == "evt2" else "a.dat")
-    if kind == "dat":
-        path.write_bytes(dat_rows(rows))
-    else:
-        highs = 0x8000_0000 | (rows["t"] >> 6)
-        words = rows["on"] * np.uint64(1) << 28 | (rows["t"] & 63) << 22
-        words |= rows["x"].astype(np.uint64) << 11 | rows["y"]
-        path.write_bytes(EVT2_HEAD + np.column_stack((highs, words)).astype("<u4").tobytes())
-    theirs = expelliarmus.Wizard(encoding=kind).read(path)
-    imported = import_events(path)
-    assert_same(imported, rows)
-    for name in "txyp":
-        assert np.array_equal(theirs[name], getattr(imported.events, name))
 
 
 def test_events_before_the_first_time_of_evt2_are_dropped(tmp_path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from imported import import_events
+from made_event_files import drawn_rows
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.file_kinds import FORMS_OF_EVENTS
@@ -14,13 +15,7 @@ from drivers.errors import NotARecording, RecordingFileError
 N = 3000
 WIDTH, HEIGHT = 640, 480
 SIZED = ReadingChoices((WIDTH, HEIGHT))
-CHANCE = np.random.default_rng(11)
-ROWS = {
-    "t": 700 + np.sort(CHANCE.integers(0, 40_000, N)),
-    "x": CHANCE.integers(0, WIDTH, N),
-    "y": CHANCE.integers(0, HEIGHT, N),
-    "p": CHANCE.integers(0, 2, N),
-}
+ROWS = drawn_rows(11, N, (WIDTH, HEIGHT), from_us=700, span_us=40_000)
 
 
 def assert_same(imported):

@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from imported import import_events
+from made_event_files import drawn_rows
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats import event_conversion
@@ -11,13 +12,7 @@ from drivers.errors import NotARecording
 
 N = 2000
 SIZED = ReadingChoices((640, 480))
-CHANCE = np.random.default_rng(3)
-ROWS = {
-    "t": 5_000_000 + np.sort(CHANCE.integers(0, 1_000_000, N)),
-    "x": CHANCE.integers(0, 640, N),
-    "y": CHANCE.integers(0, 480, N),
-    "p": CHANCE.integers(0, 2, N),
-}
+ROWS = drawn_rows(3, N, (640, 480), from_us=5_000_000, span_us=1_000_000)
 
 
 def npz(folder, **changed):
@@ -34,7 +29,7 @@ def hdf5(folder, **changed):
 
 @pytest.mark.parametrize("make", [npz, hdf5])
 def test_events_that_are_not_sorted_are_refused(tmp_path, make):
-    mixed = CHANCE.permutation(N)
+    mixed = np.random.default_rng(1).permutation(N)
     path = make(tmp_path, **{name: values[mixed] for name, values in ROWS.items()})
     with pytest.raises(NotARecording, match=r"from \d+ to \d+ us.*Sort"):
         import_events(path, SIZED)

@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from imported import import_events
+from made_event_files import drawn_rows
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats.event_conversion import convert
@@ -12,10 +13,9 @@ from drivers.errors import NotARecording
 
 N = 20_000
 SIZE = (640, 480)
-CHANCE = np.random.default_rng(4)
-T_US = 1000 + np.sort(CHANCE.integers(0, 200_000, N))
-OTHERS = {"x": CHANCE.integers(0, 640, N), "y": CHANCE.integers(0, 480, N), "p": CHANCE.integers(0, 2, N)}
-FRACTIONS = CHANCE.integers(0, 1000, N)
+OTHERS = drawn_rows(4, N, SIZE, from_us=1000, span_us=200_000)
+T_US = OTHERS.pop("t")
+FRACTIONS = np.random.default_rng(5).integers(0, 1000, N)
 
 
 def npz(folder, t, **other):
