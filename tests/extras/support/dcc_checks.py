@@ -5,7 +5,6 @@ Each check yields a line for each fault. It reads the file by itself; only words
 
 import math
 import re
-from collections import Counter
 from datetime import date
 from decimal import Decimal
 
@@ -62,24 +61,6 @@ def amendments(root):
             "[0-9a-f]{64}", text(linked, "dcc:value")
         ):
             yield f"line {linked.sourceline}: this is not a hash by SHA-256"
-
-
-def references(root):
-    ids = Counter(find(root, "//@id"))
-    referred = {word for refs in find(root, "//@refId") for word in refs.split()}
-    yield from (f"refId {name} refers to no id" for name in referred - set(ids))
-    yield from (f"nothing refers to the id {name}" for name in set(ids) - referred)
-    yield from (f"id {name} stands {count} times" for name, count in ids.items() if count > 1)
-
-
-def texts(root):
-    declared = {language.text for language in find(root, f"{CORE}/dcc:usedLangCodeISO639_1")}
-    for content in find(root, "//dcc:content"):
-        if content.get("lang", "en") not in declared or not (content.text or "").strip():
-            yield f"line {content.sourceline}: an empty text, or one of another language"
-    for release in find(root, "//dcc:release"):
-        if not re.fullmatch(r"[A-Za-z] ?(\d{1,3}\.){0,3}\d{1,3}", release.text):
-            yield f"the release {release.text} has not PTB's form v1.2.3"
 
 
 def simulated(root):
@@ -189,4 +170,4 @@ def powers(unit: str) -> dict[str, int]:
     return {name: power for name, power in powers_of.items() if power and name != "one"}
 
 
-CHECKS = (dates, amendments, references, texts, simulated, units_and_numbers, joint_list)
+CHECKS = (dates, amendments, simulated, units_and_numbers, joint_list)

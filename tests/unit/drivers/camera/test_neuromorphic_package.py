@@ -25,11 +25,17 @@ def parameters(call):
     return list(inspect.signature(call).parameters)
 
 
-def test_the_fake_has_the_fields_of_the_real_package(real):
+def test_the_fake_has_what_the_real_package_has(real):
     evk4 = real.prophesee_evk4
     assert fields(Configuration) <= fields(evk4.Configuration)
     assert fields(Biases) <= fields(evk4.Biases)
     assert fields(Ring) == fields(sys.modules["neuromorphic_drivers.status"].RawRingStatus)
+    device = evk4.PropheseeEvk4DeviceRawOptional
+    for call in ("serial", "properties", "biases_bounds", "temperature_celsius", "illuminance", "close"):
+        assert hasattr(Device, call)
+        assert hasattr(device, call)
+    for call in ("clear_backlog", "update_configuration"):
+        assert parameters(getattr(device, call)) == parameters(getattr(Device, call))
 
 
 def test_the_real_package_has_the_fields_that_are_read(real):
@@ -39,20 +45,6 @@ def test_the_real_package_has_the_fields_that_are_read(real):
     assert set(BIASES) <= fields(evk4.BiasesBounds)
     assert {"name", "serial", "error"} <= fields(real.ListedDevice)
     assert real.Name.PROPHESEE_EVK4
-
-
-@pytest.mark.parametrize(
-    "call", ["serial", "properties", "biases_bounds", "temperature_celsius", "illuminance", "close"]
-)
-def test_the_real_device_has_the_calls_of_the_fake(real, call):
-    assert hasattr(Device, call)
-    assert hasattr(real.prophesee_evk4.PropheseeEvk4DeviceRawOptional, call)
-
-
-@pytest.mark.parametrize("call", ["clear_backlog", "update_configuration"])
-def test_calls_take_the_parameters_that_the_fake_takes(real, call):
-    device = real.prophesee_evk4.PropheseeEvk4DeviceRawOptional
-    assert parameters(getattr(device, call)) == parameters(getattr(Device, call))
 
 
 def test_opening_takes_the_parameters_that_the_driver_gives(real):

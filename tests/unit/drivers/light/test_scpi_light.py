@@ -127,26 +127,6 @@ def test_an_error_queue_that_never_ends_is_given_up(bench) -> None:
 # ---------------------------------------------------------------- other makes
 
 
-def test_the_siglent_way_is_one_short_command_a_setting() -> None:
-    """An SDG1032X loses the command after one that has the waveform and more.
-
-    A BK 4055B hangs at a command of 52 bytes by USB, and cuts a joined one without a word (the package BK4055B's tests).
-    """
-    bench = Bench("siglent")
-    bench.open().apply(FLICKER)
-    assert bench.settings_sent() == [
-        "C1:OUTP LOAD,HZ",
-        "C1:BSWV WVTP,SQUARE",
-        "C1:BSWV FRQ,60",
-        "C1:BSWV HLEV,3.3",
-        "C1:BSWV LLEV,0",
-        "C1:BSWV DUTY,30",
-        "C1:BSWV PHSE,0",
-        "C1:SYNC ON,TYPE,CH1",
-        "C1:SYNC ON",
-    ]
-
-
 def test_a_steady_level_that_reads_back_lower_is_refused(light, bench) -> None:
     bench.turn("VOLT:OFFS 3.3", "VOLT:OFFS 2")
     with pytest.raises(SettingRefused, match=r"high_v: asked 3\.3, got 2\.0"):

@@ -2,34 +2,9 @@
 
 import pytest
 
-from simulators.assembly import Stage, make_stage
+from simulators.assembly import make_stage
 from simulators.config import bench_config
-from simulators.ports.serial_device import Dialect
-from simulators.world.trajectory import LoadTrajectory
-
-
-class Built:
-    """A stage on a clock that the test advances, and where its axes point."""
-
-    def __init__(self, kind: str, **changes) -> None:
-        config = bench_config({"stage": {"kind": kind, "pan": {**changes}, "tilt": {}}})
-        self.now_s = 0.0
-        self.pointing: dict[str, LoadTrajectory] = {}
-        self.stage: Stage = make_stage(kind, config.axes, lambda: self.now_s, self.pointing.__setitem__)
-
-    def say(self, port: str, *messages: bytes) -> bytes:
-        """Send messages one after the other, wait long after each, and return the last answer."""
-        dialect: Dialect = self.stage.dialects[port]
-        answer = b""
-        for message in messages:
-            answer = dialect.receive(message)
-            for _ in range(100):
-                self.now_s += 0.2
-                answer += dialect.unsolicited()
-        return answer
-
-    def angles(self) -> dict[str, float]:
-        return {name: pointing.angle_deg(self.now_s) for name, pointing in self.pointing.items()}
+from tests.hil.direct_stages import VirtualClock
 
 
 @pytest.mark.parametrize(
@@ -41,8 +16,12 @@ class Built:
     ],
 )
 def test_soft_limits_are_those_of_the_configuration(kind, home, to_the_limit, beyond, limit_deg):
-    built = Built(kind, limit_deg=10)
-    built.say("gimbal", home, to_the_limit)
-    assert built.angles()["pan"] == limit_deg
-    built.say("gimbal", beyond)
-    assert built.angles()["pan"] == limit_deg
+    clock, pointing = VirtualClock(), {}
+    axes = bench_config({"stage": {"kind": kind, "pan": {"limit_deg": 10}, "tilt": {}}}).axes
+    device = make_stage(kind, axes, clock.monotonic, pointing.__setitem__).dialects["gimbal"]
+    for message in (home, to_the_limit, beyond):
+        device.receive(message)
+        for _ in range(100):
+            clock.sleep(0.2)
+            device.unsolicited()
+        assert message == home or pointing["pan"].angle_deg(clock.now_s) == limit_deg

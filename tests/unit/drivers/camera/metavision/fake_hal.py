@@ -6,7 +6,7 @@ the calls that block are forbidden, and the log is written as the vendor writes 
 
 import enum
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import ClassVar
 
 import pytest
@@ -22,14 +22,17 @@ HEADER = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% serial_number 00051
 
 class Channel(enum.Enum):
     MAIN = 0
-    AUX = 1
-    LOOPBACK = 2
 
 
 class TrailType(enum.Enum):
     TRAIL = 0
     STC_CUT_TRAIL = 1
     STC_KEEP_TRAIL = 2
+
+
+class Geometry:
+    def __init__(self, size):
+        self.get_width, self.get_height = (lambda: size[0]), (lambda: size[1])
 
 
 class Switch:
@@ -50,12 +53,6 @@ class Switch:
 
 class RoiMode(enum.Enum):
     ROI = 0
-    RONI = 1
-
-
-class Window:
-    def __init__(self, x, y, width, height):
-        self.place = (x, y, width, height)
 
 
 class Region:
@@ -70,7 +67,7 @@ class Region:
         return self.takes
 
     def set_window(self, window):
-        self.window = window.place
+        self.window = window
         return self.takes
 
     def enable(self, on):
@@ -116,14 +113,6 @@ OTHER_SENSORS = {
 }  # fmt: skip
 
 
-class BiasInfo:
-    def __init__(self, low, high):
-        self._range = (low, high)
-
-    def get_bias_range(self):
-        return self._range
-
-
 class Biases:
     RANGES: ClassVar = {
         "bias_diff": (-25, 23),
@@ -157,7 +146,7 @@ class Biases:
         return True
 
     def get_bias_info(self, name):
-        return BiasInfo(*self.RANGES[name])
+        return SimpleNamespace(get_bias_range=lambda: self.RANGES[name])
 
 
 class Monitoring:
@@ -166,14 +155,6 @@ class Monitoring:
 
     def get_illumination(self):
         raise RuntimeError("Error 101202: not implemented")
-
-
-class SensorInfo:
-    major_version = 4
-    minor_version = 2
-
-    def __init__(self, name="IMX636"):
-        self.name = name
 
 
 class Identification:
@@ -185,7 +166,7 @@ class Identification:
         return self._serial
 
     def get_sensor_info(self):
-        return SensorInfo(self._sensor)
+        return SimpleNamespace(name=self._sensor)
 
     def get_integrator(self):
         return "Prophesee"
@@ -196,25 +177,6 @@ class Identification:
 
     def get_current_data_encoding_format(self):
         return self.encoding
-
-
-class Geometry:
-    def __init__(self, size=(1280, 720)):
-        self._size = size
-
-    def get_width(self):
-        return self._size[0]
-
-    def get_height(self):
-        return self._size[1]
-
-
-class RawBuffer:
-    def __init__(self, data):
-        self._data = data
-
-    def size(self):
-        return len(self._data)
 
 
 class Stream:
@@ -263,7 +225,7 @@ class Stream:
         self.step += 1
         if self.log is not None and self.step <= self.log_takes:
             self.log.write(data)
-        return RawBuffer(data)
+        return data
 
     def wait_next_buffer(self):
         pytest.fail("this call blocks all of Python")
@@ -274,8 +236,8 @@ class Decoder:
         self._last = -1
 
     def decode(self, buffer):
-        t = int.from_bytes(buffer._data[-4:-2], "little") & 0xFFF
-        self._last = t << 12 | int.from_bytes(buffer._data[-2:], "little") & 0xFFF
+        t = int.from_bytes(buffer[-4:-2], "little") & 0xFFF
+        self._last = t << 12 | int.from_bytes(buffer[-2:], "little") & 0xFFF
 
     def get_last_timestamp(self):
         return self._last
@@ -340,6 +302,6 @@ class Hal(ModuleType):
 
         self.DeviceDiscovery = DeviceDiscovery
         self.DeviceConfig = DeviceConfig
-        self.I_ROI = type("I_ROI", (), {"Mode": RoiMode, "Window": Window})
+        self.I_ROI = type("I_ROI", (), {"Mode": RoiMode, "Window": lambda *place: place})
         self.I_TriggerIn = type("I_TriggerIn", (), {"Channel": Channel})
         self.I_EventTrailFilterModule = type("I_EventTrailFilterModule", (), {"Type": TrailType})
