@@ -142,34 +142,6 @@ def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, st
     assert board.angles_below()[:2] == pytest.approx([-13.0, -10.0], abs=0.02)
 
 
-def test_a_mute_board_is_woken_when_it_is_opened(board: NativeBoard, stage: GrblStage):
-    stage.home()
-    with once_it_moves(board, lambda: board.wire("press", "Y")), pytest.raises(MoveFailed):
-        stage.move_to({"pan": -15.0})
-    stage.close()
-    board.wire("release", "Y")
-    again = open_stage(board)
-    assert "board: no reference" in again.faults()
-    again.home()
-    again.close()
-
-
-@pytest.mark.parametrize(
-    ("wire", "alarm"),
-    [
-        ("cut", "homing did not find the limit switch (ALARM:9)"),
-        ("press", "could not leave the limit switch (ALARM:8)"),
-    ],
-)
-def test_a_homing_that_fails_is_named_though_the_board_answers_ok(
-    board: NativeBoard, stage: GrblStage, wire, alarm
-):
-    board.wire(wire, "X")
-    with pytest.raises(MoveFailed, match=re.escape(alarm)):
-        stage.home()
-    assert "board: no reference" in stage.faults()
-
-
 # ------------------------------------------------------------ our simulated board and the firmware
 class SimulatedBoard:
     """The simulated board on a virtual clock, set up as the other one."""

@@ -1,15 +1,8 @@
 """A homing of a described stage is believed by evidence: controllers ignore the command in silence, and take moves then."""
 
-import time
-from pathlib import Path
-
 import pytest
-from quick_runs import write_sequence, write_station
-from running import called, journal
 
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
 from tests.hil.test_described_stages_of_users import changed, gsc02, opened, smc100
 from tests.hil.text_wire import LINES, Motor, Wire, described
 
@@ -124,50 +117,3 @@ def test_a_search_that_ends_beside_the_reference_is_no_homing(clock) -> None:
     with pytest.raises(MoveFailed, match=r"400 counts, .* 0"):
         stage.home()
     assert not stage.is_homed()
-
-
-class SystemTime:
-    """The time of this computer, as `Motor` and `Wire` ask for it."""
-
-    @property
-    def now_s(self) -> float:
-        return time.monotonic()
-
-
-class Lines:
-    """What a `Wire` is connected to, for a pseudo-terminal."""
-
-    baud = 9600
-
-    def __init__(self, wire: Wire) -> None:
-        self.wire = wire
-
-    def receive(self, data: bytes) -> bytes:
-        self.wire.write(data)
-        answers, self.wire.ready = self.wire.ready, b""
-        return answers
-
-    def unsolicited(self) -> bytes:
-        return b""
-
-
-@pytest.mark.slow
-def test_a_run_with_a_stage_that_ignores_its_homing_records_no_view(tmp_path: Path, home: Path) -> None:
-    wire, motor = ps10(SystemTime(), ignores="REF1")
-    description = changed(tmp_path, "ps10", QUEUE, "")
-    station = write_station(tmp_path / "station.yaml")
-    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), Lines(wire), paced=False) as device:
-        head, rest = station.read_text().split("stage:", 1)
-        rest = rest[rest.index("\nlight:") :]
-        station.write_text(
-            f"{head}stage:\n  driver: text\n  protocol: {description}\n  port: {device.address}\n  axes:\n"
-            f'    pan: {{address: "1", counts_per_deg: {SCALE}, limits_deg: [-15, 15], speed_deg_s: 20,'
-            f" acceleration_deg_s2: 1000}}\n{rest}"
-        )
-        sequence = write_sequence(tmp_path / "sequence.yaml", "[{pan_deg: -6}, {pan_deg: 6}, {pan_deg: 0}]")
-        folder = tmp_path / "run"
-        ended = called("run", sequence, "-s", station, "-o", folder, home=home, status=1)
-    assert "nothing shows" in ended.stderr
-    assert not any(line["event"] == "recorded" for line in journal(folder))
-    assert not list((folder / "captures").glob("*"))
-    assert motor.position_deg == TRUE_DEG

@@ -9,9 +9,9 @@ import pytest
 import pyvisa
 from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
+from station_texts import PLAIN, station_of
 
 from bench.stations.devices import open_light
-from bench.stations.station import load_station
 from drivers.clock import SystemClock
 from drivers.errors import PortBusy, PortLost, PortNotFound
 from drivers.light import LightSettings
@@ -98,20 +98,10 @@ def test_a_generator_is_set_read_back_and_switched(monkeypatch, kind) -> None:
     assert instrument.reads_without_query == 0
 
 
-def test_a_station_file_names_a_generator_by_its_address(monkeypatch, tmp_path) -> None:
+def test_a_station_file_names_a_generator_by_its_address(monkeypatch) -> None:
     instrument = connect(monkeypatch)
-    path = tmp_path / "station.yaml"
-    text = f"""
-format: starbench/station/1
-name: visa
-stage: {{driver: zaber_ascii, port: "sim:gimbal", axes: {{pan: {{device: 1, serial: 1, microsteps_per_deg: 6400,
-  limits_deg: [-12, 12], speed_deg_s: 10, acceleration_deg_s2: 50}}}}}}
-light: {{driver: scpi, dialect: numbered, port: "{ADDRESS}", high_v: 5}}
-camera: {{driver: simulated_evk4, address: "sim:camera", serial: "00000000"}}
-simulation: {{}}
-"""
-    path.write_text(text, encoding="utf-8")
-    light = open_light(load_station(str(path)).value, str, SystemClock(), None)
+    station = station_of(PLAIN.replace("port: sim:light", f'dialect: numbered\n  port: "{ADDRESS}"'))
+    light = open_light(station, str, SystemClock(), None)
     light.apply(FLICKER)
     light.on()
     assert instrument.states[-1].output

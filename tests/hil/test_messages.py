@@ -7,7 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 from quick_runs import THREE, quick_words
-from running import called, results, start
+from running import called, results
 from servers import MailServer, serving
 
 from bench.run.messages.channels import send
@@ -153,25 +153,3 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     assert f"Ledger: run 1 of this bench, line {place['head']}" in text
     (sent,) = kept(home)
     assert (sent["state"], sent["perhaps_twice"], sent["message"]["occasion"]) == ("sent", False, "end")
-
-
-@pytest.mark.slow
-def test_a_run_killed_while_its_message_is_under_way_is_sealed_and_the_message_arrives_later(tmp_path):
-    home, folder = tmp_path / "home", tmp_path / "run"
-    with serving(MailServer()) as server:
-        server.busy = True
-        process = start(*quick_words(tmp_path, THREE, station=server.section), home=home)
-        assert server.offered.wait(120)
-        process.kill()
-        process.communicate()
-    called("verify", folder, home=home)
-    (cut_off,) = kept(home)
-    assert cut_off["state"] == "sending"
-    (claimed,) = (home / "outbox").glob("*.sending-*")
-    claimed.rename(claimed.with_suffix(".sending-1"))  # as if the time of the claim had passed
-    with serving(MailServer(server.server_address[1])) as server:
-        for _ in range(2):
-            called("messages", "--send", home=home)
-    assert server.subjects == ["Starbench: run run (SIMULATED) finished"]
-    (sent,) = kept(home)
-    assert (sent["state"], sent["perhaps_twice"], sent["tries"]) == ("sent", True, 1)

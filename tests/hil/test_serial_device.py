@@ -7,7 +7,7 @@ import serial
 
 from simulators.errors import SimulatorError
 from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice, TcpPort
+from simulators.ports.serial_device import SerialDevice
 
 
 class Parrot:
@@ -60,11 +60,3 @@ def test_a_link_that_somebody_else_has_taken_is_left_alone(tmp_path):
     assert os.path.lexists(second.link)
     second.close()
     assert not os.path.lexists(second.link)
-
-
-def test_a_line_over_tcp_has_no_baud_rate_and_one_client_at_a_time():
-    with SerialDevice(TcpPort("light"), Parrot()) as device:
-        for _ in range(2):
-            with serial.serial_for_url(device.address, timeout=5.0) as line:
-                line.write(b"a")
-                assert line.read(2) == b"aa"

@@ -149,29 +149,6 @@ def taken_by(stream, taken, *, frames):
             stream.next_frame()
 
 
-def test_an_independent_decoder_reads_the_same_events(camera, tmp_path, monkeypatch):
-    evt3 = pytest.importorskip("evt3", reason="the independent decoder evt3 is not installed")
-    with Host(camera) as host:
-        words = host.record(17)
-    path = tmp_path / "stream.raw"
-    header = b"% evt 3.0\n% format EVT3;height=180;width=320\n% geometry 320x180\n% end\n"
-    path.write_bytes(header + words)
-    events, triggers = evt3.decode_file_with_triggers(str(path))
-
-    sensor, edges = [], []
-    listen_to_edges(monkeypatch, edges)
-    taken_by(SensorStream(bench(), CameraState(trigger_in=True), {}), sensor, frames=17)
-    edges = [edge for _, edge in edges]
-    for name in ("t", "x", "y", "p"):
-        np.testing.assert_array_equal(
-            getattr(events, name), np.concatenate([getattr(piece, name) for piece in sensor])
-        )
-    np.testing.assert_array_equal(triggers.timestamp, np.concatenate([e[0] for e in edges]))
-    np.testing.assert_array_equal(triggers.value, np.concatenate([e[1] for e in edges]))
-    assert len(events.t) > 10_000
-    assert len(triggers.timestamp) == 4
-
-
 def test_the_light_stays_one_clock_over_recordings(monkeypatch):
     """The phase drawn for a recording is the light's own phase at the moment the sensor starts."""
     now = [3.1]

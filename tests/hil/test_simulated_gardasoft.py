@@ -72,12 +72,3 @@ def test_a_protection_switches_off_and_is_reported_on_request(strobe: Strobe):
     assert strobe.say("GR") == "Evt1,131;\r\n>"
     assert strobe.light.output
     assert strobe.say("GR") == ">"
-
-
-def test_another_controller_in_its_place_has_the_settings_of_its_power_up(strobe: Strobe):
-    strobe.say("GT1;TT1,10;RS1,100")
-    strobe.device.trip()
-    strobe.device.exchange("")
-    assert strobe.say("ST0") == "TM 0, TP 20.000ms\r\n>"
-    assert strobe.device.unsolicited() == b""
-    assert not strobe.light.output

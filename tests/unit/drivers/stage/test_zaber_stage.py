@@ -11,7 +11,7 @@ import pytest
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError
 from drivers.stage import AxisLimits
 from drivers.stage.zaber_protocol import checksum
-from tests.unit.drivers.stage.zaber_bench import SCALE, Bench, words, zaber_line
+from tests.unit.drivers.stage.zaber_bench import SCALE, Bench, words
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -217,12 +217,6 @@ def test_a_flag_hidden_behind_a_more_urgent_one_is_found_at_the_end(bench) -> No
 
 
 # ---------------------------------------------------------------- the line, and stops
-def test_an_alert_between_request_and_reply_is_kept_apart(bench) -> None:
-    stage = bench.homed()
-    bench.line.spoil = lambda reply: b"!" + zaber_line("01 1 IDLE FS")[1:] + reply
-    assert stage.position_deg() == {"pan": 0.0, "tilt": 0.0}
-
-
 def test_a_stop_reaches_all_axes_with_one_line(bench) -> None:
     stage = bench.homed()
     bench.go("pan")
