@@ -8,6 +8,7 @@ import numpy as np
 
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, text_width
+from bench.wording.numbers import number
 from bench.wording.target_words import STARS, TargetWords
 from calib.arrays import Array
 from calib.model.camera import CameraModel
@@ -39,7 +40,7 @@ def distortion_curve(
     title = f"Radial displacement; band: U, k = {k:.3g}"
     around = Words((title,), "field angle, degrees", f"displacement from {ideal}, px")
     last = float(angles[-1])
-    about = f"At {last:.3g} degrees the displacement is {shown[-1]:.3g} px, with U = {expanded[-1]:.2g} px."
+    about = f"At {last:.3g} degrees the displacement is {shown[-1]:.3g} px, with U = {number(expanded[-1], 2)} px."
     picture = Picture(
         *PANEL, "distortion", "Distortion curve: radial displacement against the field angle", about
     )

@@ -26,6 +26,7 @@ from bench.report.svg_plot import (
     shade,
 )
 from bench.report.svg_scale import Scale, decades, text_width
+from bench.wording.numbers import number
 from calib.arrays import Array
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import (
@@ -105,12 +106,12 @@ def sensor_map(
     lowest, worst, middle = (float(f(shown)) for f in (np.nanmin, np.nanmax, np.nanmedian))
     levels = round_levels(lowest, worst)
     by_level = {level: outlines(x, y, shown, level) for level in levels}
-    numbers = f"median {middle:.2g}, at most {worst:.2g}"
+    numbers = f"median {number(middle, 2)}, at most {number(worst, 2)}"
     about = f"{name}: {numbers}. Contours at {', '.join(f'{level:g}' for level in levels) or 'no level'}."
     axes = sensor_axes(size, (name, numbers), identifier, label, about)
     _fill(axes, outlines(x, y, shown, lowest), 0.0)
-    for number, level in enumerate(levels, 1):
-        _fill(axes, by_level[level], number / len(levels))
+    for part, level in enumerate(levels, 1):
+        _fill(axes, by_level[level], part / len(levels))
     for level in levels:
         for line in (line for outline in by_level[level] for line in outline.lines()):
             axes.line(line, _CONTOUR, 0.6)
@@ -148,8 +149,8 @@ def _free_place(
 ) -> tuple[float, float] | None:
     """Return the point of a line nearest to its middle where a label collides with nothing; None if there is none."""
     middle = len(line) // 2
-    for number in sorted(range(len(line)), key=lambda n: abs(n - middle)):
-        x, y = line[number].tolist()
+    for place in sorted(range(len(line)), key=lambda n: abs(n - middle)):
+        x, y = line[place].tolist()
         inside = (
             axes.left + half + 2 <= x <= axes.left + axes.width - half - 2
             and axes.top + 6 <= y <= axes.top + axes.height - 6

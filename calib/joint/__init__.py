@@ -13,6 +13,7 @@ in docs/adjustment.md.
 
 References
 ----------
+- Arasaratnam and Haykin (2009), Cubature Kalman filters, IEEE Transactions on Automatic Control 54, 1254.
 - Armijo (1966), Minimization of functions having Lipschitz continuous first partial derivatives, Pacific Journal of
   Mathematics 16, 1.
 - Bailey (2017), Not Normal: the uncertainties of scientific measurements, Royal Society Open Science 4, 160600.
@@ -27,8 +28,6 @@ References
 - Kish (1965), Survey Sampling, Wiley.
 - Levenberg (1944), A method for the solution of certain non-linear problems in least squares, Quarterly of Applied
   Mathematics 2, 164.
-- McKay, Beckman and Conover (1979), A comparison of three methods for selecting values of input variables in the
-  analysis of output from a computer code, Technometrics 21, 239.
 - Patterson and Thompson (1971), Recovery of inter-block information when block sizes are unequal, Biometrika 58, 545.
 - Searle (1971), Linear Models, Wiley.
 - Weng, Cohen and Herniou (1992), Camera calibration with distortion models and accuracy evaluation, IEEE Transactions

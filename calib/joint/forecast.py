@@ -28,7 +28,7 @@ from calib.joint.pose_equations import maps_with_gimbal, normal_of_poses
 from calib.joint.posed import lens_names, posed
 from calib.joint.poses import Poses
 from calib.joint.posterior import Posterior
-from calib.joint.samples import LARGEST_WEIGHT, Node
+from calib.joint.samples import Node, nodes_about
 from calib.joint.solve import Optimum
 from calib.joint.summary import Summary, summarised
 from calib.joint.words import require_determined
@@ -36,9 +36,6 @@ from calib.model.camera import CameraModel
 from calib.view import View
 
 __all__ = ["PoseInformation", "PredictedViews", "Summary", "amplitudes"]
-
-#: With half as many, expected uncertainties of neighbouring poses scatter by 8 %.
-_PAIRS = 24
 
 
 class PredictedViews:
@@ -71,13 +68,18 @@ class PredictedViews:
         try:
             middle = _still(marginal.solve(eta))
             curvature = 0.5 * expected_curvature(middle)
-            spread = np.asarray(np.linalg.inv(curvature), np.float64)
-            nodes = [node for mode, share in _meanings(middle) for node in _samples(mode, spread, share)]
+            lower = np.asarray(np.linalg.cholesky(curvature), np.float64)
+            nodes = [
+                Node(_still(node.solution), node.weight)
+                for mode in _meanings(middle)
+                for node in nodes_about(mode, lower, mode.weight, _expected_odds)
+            ]
+            spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
         except np.linalg.LinAlgError as error:
             raise DegenerateViews("These poses do not determine the camera.") from error
         largest = Node(middle, 1.0)
         modes = Modes(Optimum(middle, 0, converged=True), curvature, [largest], largest, {}, 0.0)
-        return Posterior(modes, tuple(nodes), np.sqrt(np.diag(spread)), {}, largest)
+        return Posterior(modes, tuple(nodes), spread, {}, largest)
 
     def information(self, eta: Array) -> PoseInformation:
         """Return what each view tells, as a pose of its own, with (A,) logarithms of the amplitudes."""
@@ -108,30 +110,18 @@ class PoseInformation(NamedTuple):
     camera_size: int  # The first so many unknowns are the camera's
 
 
-def _meanings(middle: Solution) -> list[tuple[Solution, float]]:
+def _meanings(middle: Solution) -> list[Node]:
     """Return what is stated, and each other meaning of it that the views may not decide, with their shares."""
     witnesses = middle.marginal.problem.knowledge.witnesses
     others = [((name, FOCAL),) for name, statement in witnesses.items() if FOCAL in statement.doubts]
     share = 1.0 / (1.0 + len(others) * OTHER_LENGTH.odds)
     meant = [_still(middle.marginal.solve(middle.eta, faults)) for faults in others]
-    return [(middle, share), *((solution, share * OTHER_LENGTH.odds) for solution in meant)]
+    return [Node(middle, share), *(Node(solution, share * OTHER_LENGTH.odds) for solution in meant)]
 
 
-def _samples(mode: Solution, spread: Array, share: float) -> list[Node]:
-    """Return samples of the amplitudes about a mode, in pairs, with weights that sum to ``share``; spread: (A, A)."""
-    lower, size = np.linalg.cholesky(spread), len(mode.eta)
-    deviates = np.random.default_rng(0).standard_normal((_PAIRS, size))
-    bounds = np.array(mode.marginal.problem.hyper.bounds).T
-    solutions, logs = [mode], [0.0]
-    for z in (*deviates, *-deviates):
-        eta = np.clip(mode.eta + lower @ z, *bounds)
-        solutions.append(_still(mode.marginal.solve(eta, mode.faults)))
-        gain = _expected_value(mode.eta, mode) - _expected_value(mode.eta, solutions[-1])
-        logs.append(0.5 * gain + 0.5 * float(z @ z))
-    weights = np.exp(np.array(logs) - max(logs))
-    weights = np.minimum(weights, LARGEST_WEIGHT * float(np.median(weights)))
-    weights *= share / weights.sum()
-    return [Node(solution, float(weight)) for solution, weight in zip(solutions, weights, strict=True)]
+def _expected_odds(sample: Solution, mode: Solution, more: float) -> float:
+    """Return the logarithm of the odds of a sample against a mode that data as expected are expected to show."""
+    return 0.5 * (_expected_value(mode.eta, mode) - _expected_value(mode.eta, _still(sample))) + more
 
 
 def _expected_value(eta: Array, solution: Solution) -> float:

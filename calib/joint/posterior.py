@@ -29,7 +29,6 @@ from calib.joint.places import spread_of_places
 from calib.joint.samples import Node, nodes_about
 from calib.joint.solve import TRUSTED, Optimum, optimum_with_faults, relative_step
 
-_PAIRS, _FAULT_PAIRS = 12, 4
 #: A mode of a smaller share stands for all amplitudes about it.
 _SMALL_SHARE, _SMALL_DOUBT = 0.01, 0.05
 #: A fault that leads farther is looked at if its odds against none are more than this.
@@ -221,7 +220,7 @@ def _mixture(modes: Modes, nodes: Sequence[Node]) -> Posterior:
         if share < (_SMALL_DOUBT if mode.faults else _SMALL_SHARE):
             samples.append(replace(mode, weight=share))
         else:
-            samples += nodes_about(mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
+            samples += nodes_about(mode, lower, share)
     spread = np.sqrt(np.diag(np.linalg.inv(modes.curvature)))
     return Posterior(modes, tuple(samples), spread, modes.fault_probabilities(nodes), max(nodes, key=_weight))
 
