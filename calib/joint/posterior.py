@@ -30,7 +30,7 @@ from calib.joint.samples import Node, nodes_about
 from calib.joint.solve import TRUSTED, Optimum, optimum_with_faults, relative_step
 
 #: A mode of a smaller share stands for all amplitudes about it.
-_SMALL_SHARE, _SMALL_DOUBT = 0.01, 0.05
+_SMALL_SHARE = 0.1
 #: A fault that leads farther is looked at if its odds against none are more than this.
 _COUNTS = 0.05
 
@@ -217,7 +217,7 @@ def _mixture(modes: Modes, nodes: Sequence[Node]) -> Posterior:
     samples: list[Node] = []
     for mode in nodes:
         share = mode.weight / whole
-        if share < (_SMALL_DOUBT if mode.faults else _SMALL_SHARE):
+        if share < _SMALL_SHARE:
             samples.append(replace(mode, weight=share))
         else:
             samples += nodes_about(mode, lower, share)
