@@ -36,7 +36,7 @@ TRIES_WHEN_LATE: Final = 3
 LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
 
-RESYNCHRONISE_TRIES: Final = 2
+RESYNCHRONISE_TRIES: Final = 2  # A second marker, if the first one was lost
 CONNECT_TRIES: Final = 3
 CONNECT_PAUSE_S: Final = 0.5
 """A device that has closed a connection may need a moment before it accepts another one."""

@@ -21,7 +21,7 @@ from drivers.file_lock import lock
 
 TEMPORARY: Final = ".tmp"
 """Ending of a hidden name that a file or folder has while it is written."""
-_MOST_CLAIM_BYTES: Final = 64
+_MOST_CLAIM_BYTES: Final = 64  # Longer than any claim, so that a longer file is none
 _TAKEN: Final = frozenset({errno.EEXIST, errno.ENOTEMPTY})
 
 

@@ -30,7 +30,7 @@ READABLE_REMEDY: Final = (
     "It answers, so the line works: check that the station file names the right port, driver and dialect."
 )
 """What to do about an answer that can be read, but not understood."""
-_LONGEST_QUEUE = 40
+_LONGEST_QUEUE = 40  # Instruments keep some 20 errors; one that repeats its last would never end
 _ERROR = re.compile(r'([+-]?\d+)(?: ?[, ] ?(?:"([^"]*)"|([^"]*)))?')
 _PROMPT = re.compile(rb"\s*(?:[\w .-]{0,20}>\s*)*")
 """What an instrument with a prompt sends before or after its answers, as in ``33500B> ``."""

@@ -23,7 +23,7 @@ from bench.record.storage import storage_errors
 from bench.run.status import read_plan, read_status
 from bench.wording.numbers import duration
 
-FOLLOW_S = 1.0
+FOLLOW_S = 1.0  # The times shown are whole seconds
 _TICK_WAITS = 2
 """With ``ticks``, the status is read again after this many waits."""
 _MOST_UPCOMING = 12  # More do not fit on one screen below the rest of the status

@@ -9,7 +9,7 @@ from bench.camera_files.texts import OtherForm
 from calib.model.camera import SKEW, CameraModel
 from calib.model.lens import FISHEYE, OPENCV
 
-_MOST_PX = 200_000_000
+_MOST_PX = 200_000_000  # The largest sensors that are sold have 150 Mpx
 _FAR_FROM_MIDDLE = 0.15
 """Of the width or height: farther from the middle, a principal point is remarkable; `calibrate` has the same share."""
 _LEAST_FOCAL_SHARE = 0.08

@@ -45,7 +45,7 @@ from bench.wording.numbers import number, plus_minus, with_uncertainty
 from bench.wording.parameters import meaning_of, unit_text
 
 _DAYS_A_YEAR = 365.25
-_NAMED = 3
+_NAMED = 3  # More runs make a sentence that nobody reads
 _SCATTER_SIGMAS = 3.5
 SCHEMA = "starbench/charts/1"
 LEAST_RUNS = 5

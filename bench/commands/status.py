@@ -42,7 +42,7 @@ _ANSWERS = {"yes": "continue", "no": "abort"}
 _VALUES = {"skip": "the number of a pose", "add": "the file of a job", "withdraw": "the name of a job"}
 """What stands behind a word; it may be left out for ``skip``."""
 _OF_BATCH = ("add", "withdraw")
-FOLLOW_S = 0.5
+FOLLOW_S = 0.5  # A person sees a change at once, and a disk is hardly read
 _READING_SHARE = 4.0
 """A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
 

@@ -20,7 +20,7 @@ from bench.work.kept_rows import KeptRows
 from bench.work.workers import Serial, Workers, WorkLeft
 
 CONTINUES = "What is done is kept; the same command continues."
-_MOST_PROCESSES = 1024
+_MOST_PROCESSES = 1024  # More is a slip of the keyboard, and would fill the memory
 _EVERY_S = 30.0  # A log of a night stays readable
 _EVERY_ON_A_TERMINAL_S = 0.25  # More often is not seen
 

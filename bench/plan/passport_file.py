@@ -24,7 +24,7 @@ _MOST = 1e6
 """Largest size of a value, mm; no collimator is a kilometre long."""
 _LEAST_SIGMA = 1e-7
 """Smallest standard uncertainty, mm: a tenth of a nanometre."""
-_LEAST_RELATIVE_SIGMA_OF_R = 1e-8
+_LEAST_RELATIVE_SIGMA_OF_R = 1e-8  # No length of a metre is known to 10 nm
 _LEAST_EIGENVALUE = 1e-13
 """Smallest eigenvalue of the correlation matrix; rounding alone gives values below it."""
 _ASYMMETRY = 1e-9  # Rounding of numbers with 15 digits, far above

@@ -51,7 +51,7 @@ QUARANTINE = "quarantine"
 MANIFEST = "SHA256SUMS"
 SIGNATURE = "SHA256SUMS.sig"
 _RESERVE = ".reserve"
-RESERVE_BYTES = 256 * 1024
+RESERVE_BYTES = 256 * 1024  # The journal's last lines and the list of files of a full disk
 PART = ".part"
 """Ending of a file that is not complete yet."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")

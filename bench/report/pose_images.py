@@ -19,7 +19,7 @@ from bench.measure.view_picture import ViewPicture
 from bench.wording.target_words import STARS, TargetWords
 from calib.arrays import Array
 
-_ALL_PICTURES_BYTES = 1_050_000
+_ALL_PICTURES_BYTES = 1_050_000  # The report stays below 2 MB, so that a mail takes it
 _ENCODINGS = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))
 """Scale and JPEG quality (None: PNG), tried in this order until an image is small enough."""
 _RING_PX = 7.0  # Around a star of usual size

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 RECORDINGS = {".raw"}
 MOST_EVENTS = 50_000_000
 """Events of a recording that are used: a second of a bright target, in 1.5 GB of memory. A run records two periods."""
-_MOST_NAMED = 5
+_MOST_NAMED = 5  # What fits on two lines of a terminal
 _PART_BYTES = 1 << 20
 
 

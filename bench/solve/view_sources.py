@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"}
 POINTS = {".txt", ".csv"}
 OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz", ".npy", ".parquet"}
-_MOST_NAMED = 5
+_MOST_NAMED = 5  # What fits on two lines of a terminal
 _START_BYTES = 64  # Magic numbers are shorter
 _GIVE_PICTURE = "Give PNG, TIFF, JPEG or BMP."
 _KNOWN = RECORDINGS | OTHER_RECORDINGS | PHOTOGRAPHS | POINTS

@@ -13,7 +13,7 @@ from typing import Any, Self
 from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN, Failure
 
-_WAIT_S = 0.5
+_WAIT_S = 0.5  # Ctrl-C is noticed within it
 _AHEAD = 2
 """Pieces of work handed out for each worker: one in progress, one waiting."""
 

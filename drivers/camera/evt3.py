@@ -29,7 +29,7 @@ GAPS_KEPT: Final = 64
 
 _MOST_BLOCKS: Final = 4
 """Most blocks of words in a piece, so that a long file without events shows how far it has been read."""
-_TRIGGERS_AT_ONCE: Final = 4096
+_TRIGGERS_AT_ONCE: Final = 4096  # A full second of the fastest flicker that is used
 _COUNTED_AT_ONCE: Final = 1 << 14
 """Number of events that are decoded at once where they are only counted: these stay in the processor's caches."""
 

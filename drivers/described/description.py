@@ -42,7 +42,7 @@ _SHAPES: Final = {
 }
 _HEX: Final = {"hex": 0, "signed_hex": 1}
 """Kinds of a fixed number of hexadecimal digits, and how many bits are the sign (two's complement)."""
-MOST_HEX_DIGITS: Final = 8
+MOST_HEX_DIGITS: Final = 8  # Registers have 32 bits at most
 _MOST_DIGITS: Final = 15  # Those of a double
 _FIRST: Final = {
     **dict.fromkeys(("integer", "size"), "0123456789"),

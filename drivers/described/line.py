@@ -26,7 +26,7 @@ from drivers.serial_number import is_same_serial
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
-_SHOWN = 80
+_SHOWN = 80  # One line of a terminal
 _BREAK = re.compile(rb" *[\r\n]+ *")
 _FILLERS = b"\r\n\0"
 """What devices send beside the end of a line: a second end, another half of it, NUL at power-up."""

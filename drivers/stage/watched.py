@@ -30,7 +30,7 @@ from drivers.stage.motion import A, MoveWatch
 from drivers.stage.refusals import HOME_FIRST, no_reference
 from drivers.wire_log import WireLog
 
-_STOP_POLL_S = 0.02
+_STOP_POLL_S = 0.02  # A few answers at 9600 baud
 _SAME_DEG = 1e-9
 """Angles that differ by less are one angle, in degrees: no controller counts so finely."""
 _CLEAR_AND_RESUME = "Clear the cause, then home the stage and resume."

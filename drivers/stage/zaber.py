@@ -26,7 +26,7 @@ from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 
 _MARKER_S = 0.5
-_MESSAGE_IDS = 100
+_MESSAGE_IDS = 100  # Ids have two digits
 _ANSWERED_ALREADY = frozenset({1, _MESSAGE_IDS - 1})
 """Ids, against that of a request, of the request before it and of the marker between the two."""
 SPEED_UNITS = 1.6384

@@ -29,7 +29,7 @@ CLAIM = timedelta(minutes=3)
 GIVEN_UP_AFTER = timedelta(days=7)
 """A message of this age is given up when it fails again: a network may be away for a weekend."""
 _SENDING = ".sending-"
-_MOST_BYTES = 1_000_000
+_MOST_BYTES = 1_000_000  # A message has some kilobytes
 
 State = Literal["waiting", "sending", "sent", "failed"]
 _STATES: dict[str, State] = {".waiting": "waiting", ".sent": "sent", ".failed": "failed"}

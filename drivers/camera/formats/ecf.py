@@ -49,7 +49,7 @@ _MOST_ROWS: Final = (1 << _ROW_COUNT_BITS) - 1
 _MOST_POLARITIES: Final = (1 << _POLARITY_COUNT_BITS) - 1
 _COUNTED: Final = 2048
 """Events of a chunk, in eight stretches, by which style C is tried or not; counting all would cost a quarter more."""
-_STRETCHES: Final = 8
+_STRETCHES: Final = 8  # Spread over the chunk, since scenes differ within it
 _NEAR: Final = 1.2
 """A style that is estimated at so many times the bytes of another is not tried."""
 _BAD: Final = -1  # What is returned for bytes that do not decode

@@ -57,7 +57,7 @@ CD_TYPE: Final = np.dtype(
         "itemsize": 16,
     }
 )
-PIECE_EVENTS: Final = 500_000
+PIECE_EVENTS: Final = 500_000  # Some 8 MB as rows
 _CD: Final = "CD/events"
 _OFFSET: Final = "t_offset"
 _MOST_GROUPS: Final = 1000  # Files of events have a few; a hostile one has no end of them

@@ -34,7 +34,7 @@ from drivers.camera.raw_check import WORD_BYTES, ends_within_word
 from drivers.camera.raw_header import RawHeader, header_fields, stated_size
 from drivers.errors import NotARecording
 
-_PIECE_BYTES: Final = 1 << 19
+_PIECE_BYTES: Final = 1 << 19  # Stays in the processor's cache
 _TRIGGER_TYPES: Final = (0x0E,)  # Event types of DAT files: external triggers
 _CD_TYPES: Final = (0x00, 0x0C)  # 2D and CD events, which have the same layout
 _DAT_EVENT_BYTES: Final = 8  # Time and place, four bytes each
