@@ -306,7 +306,9 @@ def measurement_of(find: Callable[[Observed], View]) -> Measurement:
     seen = Observed()
     try:
         view, fault = find(seen), ""
-    except (CalibrationError, RecordingFileError) as error:
+    except RecordingFileError as error:  # whoever asks names the file
+        view, fault = None, f"{error.what} {error.remedy}".strip()
+    except CalibrationError as error:
         view, fault = None, str(error)
     return Measurement(view, seen.image, without_nan(seen.facts), fault)
 

@@ -46,7 +46,9 @@ def storage_errors(where: Path) -> Iterator[None]:
             *(part[1 : -len(TEMPORARY)] if is_temporary(Path(part)) else part for part in place.parts)
         )
         if error.errno in _FULL:
-            what, remedy = "The disk is full.", "Make room on this disk, or use another one."
+            real = Path(os.path.realpath(place))
+            disk = next(above for above in (real, *real.parents) if os.path.ismount(above))
+            what, remedy = "The disk is full.", f"Make room on the disk at {disk}, or use another one."
         elif error.errno in _DENIED:
             what, remedy = "No permission.", "Change its mode or owner, or use another folder."
         elif error.errno in _NOWHERE:

@@ -48,12 +48,12 @@ def used_recordings(paths: Iterable[Path], in_pieces: Container[Path] = ()) -> l
 
 
 def camera_serial(path: Path) -> str:
-    """Return the serial number of the camera by the header of a RAW file, without zeros before it; empty if none is."""
+    """Return the serial number of the camera by the header of a RAW file; empty if none is there."""
     from drivers.camera.raw_check import read_start
     from drivers.camera.raw_header import header_fields
 
     fields, _ = header_fields(read_start(path))
-    return fields.get("serial_number", "").lstrip("0")
+    return fields.get("serial_number", "")
 
 
 def _used_bytes(path: Path) -> int:

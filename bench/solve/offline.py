@@ -224,16 +224,16 @@ def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> 
 
 def require_one_camera(sources: Sequence[ViewSource]) -> None:
     """Refuse recordings of different cameras, by the stations of their runs or by their headers."""
-    names: dict[str, list[str]] = {}
+    names: dict[str, tuple[str, list[str]]] = {}  # Some programs write serial numbers without their zeros
     for source in sources:
         if source.job is not None:  # its recording may be gone, if it came from a URL
-            serial = (source.job.station.camera.serial or "").lstrip("0")
+            serial = source.job.station.camera.serial or ""
         else:
             serial = camera_serial(source.path) if source.path.suffix.lower() in RECORDINGS else ""
         if serial:
-            names.setdefault(serial, []).append(source.name)
+            names.setdefault(serial.lstrip("0"), (serial, []))[1].append(source.name)
     if len(names) > 1:
-        shown = ", ".join(f"{serial} ({first_names(of_camera)})" for serial, of_camera in names.items())
+        shown = ", ".join(f"{serial} ({first_names(of_camera)})" for serial, of_camera in names.values())
         raise BenchError(
             f"The recordings are of {len(names)} cameras, by their serial numbers: {shown}.",
             remedy="Calibrate each camera by itself: give its recordings alone.",

@@ -42,15 +42,17 @@ def record_until_full(folder, journal, first):
         pose += 1
 
 
-def test_a_full_disk_loses_nothing_and_the_journal_still_tells_of_it(small_disk):
-    path = small_disk / "run"
+def test_a_full_disk_loses_nothing_and_is_told_with_its_place(small_disk, tmp_path):
+    (tmp_path / "runs").symlink_to(small_disk)
+    path = tmp_path / "runs" / "run"
     with RunFolder.create(path) as folder, Journal.create(folder.journal_path, BenchClock()) as journal:
         failed, error = record_until_full(folder, journal, 1)
         assert failed > 10
         assert isinstance(error, StorageError) or error.errno == errno.ENOSPC
         (path / "filler").write_bytes(b"0" * max(0, shutil.disk_usage(path).free))  # not one byte is left
-        with pytest.raises(StorageError, match="disk is full"):
+        with pytest.raises(StorageError, match="disk is full") as refused:
             folder.write_atomic("results.json", b"x" * 5000)
+        assert f" {small_disk}," in refused.value.remedy
         folder.release_reserve()
         journal.append("disk_full", pose=failed)
     entries, torn = read_journal(path / "journal.jsonl")

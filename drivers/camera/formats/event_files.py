@@ -34,7 +34,12 @@ from drivers.camera.file_kinds import FORMS_OF_EVENTS, in_place_of_file
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import NO_EVENTS, source_of_library
-from drivers.camera.formats.table_files import NPY_MAGIC, PARQUET_MAGIC, is_table_of_text
+from drivers.camera.formats.table_files import (
+    NPY_MAGIC,
+    PARQUET_MAGIC,
+    is_table_of_text,
+    order_assumed,
+)
 from drivers.camera.formats.time_units import UnitCheck
 from drivers.camera.raw_check import read_start, require_whole
 from drivers.camera.raw_file import RawFile, unreadable
@@ -166,7 +171,8 @@ def _errors_of(path: Path) -> Iterator[None]:
             raise
         named = error.remedy and not isinstance(error, UnreadableEvents)
         what = error.what if named else f"{NO_EVENTS}: {error.what}"
-        raise NotARecording(what, where=str(path), remedy=error.remedy or FORMS_OF_EVENTS) from error
+        remedy = f"{error.remedy or FORMS_OF_EVENTS}{order_assumed(path)}"
+        raise NotARecording(what, where=str(path), remedy=remedy) from error
     except _UNREADABLE as error:
         what = f"{NO_EVENTS}: it is damaged, or has another layout than its first bytes say."
         raise NotARecording(what, where=str(path), remedy=_COPY_AGAIN) from error

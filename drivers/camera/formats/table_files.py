@@ -159,6 +159,8 @@ class _TextLayout(NamedTuple):
     places: list[int]  # Of t, x, y and p in a line
     sizes: dict[str, tuple[int, int]]
     has_truths: bool  # Whether polarities are the words true and false
+    assumed: str  # Names of the columns if no line states them
+    fits: bool  # Whether the first line below the names holds a number for each
 
 
 def is_table_of_text(start: bytes) -> bool:
@@ -168,29 +170,50 @@ def is_table_of_text(start: bytes) -> bool:
 
 
 def _text_layout(start: bytes) -> _TextLayout | None:
-    """Return where the events of a text file stand; None if no line is one of numbers whose names are known."""
+    """Return where the events of a text file stand; None if it states no names, and has no line of four numbers."""
     sizes, header, commented = dict[str, tuple[int, int]](), list[str](), list[str]()
     if b"\0" in start[:_HEAD_BYTES]:
         return None
     for number, line in enumerate(start[:_HEAD_BYTES].decode("utf-8-sig", "replace").splitlines()):
         delimiter = next((sign for sign in ";\t," if sign in line.strip()), None)
         words = _words(line, delimiter)
+        numbers = [bool(_NUMBER.fullmatch(word.replace(",", "."))) for word in words]
         if geometry := _GEOMETRY.fullmatch(line.strip()):
             sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
         elif line.startswith(_MARKS_OF_COMMENTS):
             commented = words if None not in named(words) else commented
-        elif not words or not any(map(_NUMBER.fullmatch, words)):
+        elif not any(numbers):
             header = words or header
         else:
-            names = header or (commented if len(commented) == len(words) else _without_names(sizes))
+            stated = header or (commented if len(commented) == len(words) else [])
+            names = stated or _without_names(sizes)
             places = [names.index(name) for name in named(names) if name is not None]
-            if len(places) < COLUMNS or not max(places) < len(words) <= len(names):
+            if len(places) < COLUMNS or not (stated or (all(numbers) and len(words) == COLUMNS)):
                 return None
-            if not all(_NUMBER.fullmatch(words[k]) for k in places):
-                return None
-            has_truths = bool(_TRUTHS.search(line))
-            return _TextLayout(number, delimiter, names[places[0]], places, sizes, has_truths)
+            return _TextLayout(
+                skipped=number,
+                delimiter=delimiter,
+                times=names[places[0]],
+                places=places,
+                sizes=sizes,
+                has_truths=bool(_TRUTHS.search(line)),
+                assumed="" if stated else ", ".join(names),
+                fits=max(places) < len(words) <= len(names)
+                and all(_NUMBER.fullmatch(words[k]) for k in places),
+            )
     return None
+
+
+def order_assumed(path: Path) -> str:
+    """Return a sentence on the order of columns that a text file of events does not name; empty for any other file."""
+    if not path.is_file():
+        return ""
+    with path.open("rb") as file:
+        start = file.read(_HEAD_BYTES)
+    layout = _text_layout(start) if is_table_of_text(start) else None
+    if layout is None or not layout.assumed:
+        return ""
+    return f" No line names its columns, which were read as {layout.assumed}; a first line can name them."
 
 
 def _without_names(sizes: Mapping[str, tuple[int, int]]) -> list[str]:
@@ -212,6 +235,8 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
         file.seek(max(0, path.stat().st_size - _HEAD_BYTES))
         last_line = file.read().rpartition(b"\n")[2].decode("utf-8", "replace").partition("#")[0].strip()
     truncated = bool(last_line) and len(_words(last_line, layout.delimiter)) <= max(layout.places)
+    if not layout.fits:
+        raise _no_event(path, layout)
     if not layout.sizes and choices.sensor_size is None:
         raise NotARecording(
             "This is a text file of events, which does not state the sensor's size.",
@@ -248,11 +273,16 @@ def _rows(lines: Iterator[str], path: Path, layout: _TextLayout) -> Any:
             ndmin=2,
         )
     except ValueError as error:
-        number, line = _line_of_no_event(path, layout)
-        raise NotARecording(
-            f"Line {number} does not hold the numbers of an event: {line.strip()[:_LONGEST_LINE]!r}.",
-            remedy="Correct it or take it out in a copy of the file.",
-        ) from error
+        raise _no_event(path, layout) from error
+
+
+def _no_event(path: Path, layout: _TextLayout) -> NotARecording:
+    """Build the error of the first line that does not hold the numbers of an event."""
+    number, line = _line_of_no_event(path, layout)
+    return NotARecording(
+        f"Line {number} does not hold the numbers of an event: {line.strip()[:_LONGEST_LINE]!r}.",
+        remedy="It needs one for each name, with a decimal point. Correct it or take it out in a copy of the file.",
+    )
 
 
 def _line_of_no_event(path: Path, layout: _TextLayout) -> tuple[int, str]:
@@ -261,6 +291,6 @@ def _line_of_no_event(path: Path, layout: _TextLayout) -> tuple[int, str]:
         for number, line in islice(enumerate(file, 1), layout.skipped, None):
             words = dict(enumerate(_words(line, layout.delimiter)))
             are_numbers = all(_NUMBER.fullmatch(words.get(place, "")) for place in layout.places)
-            if line.partition("#")[0].strip() and not are_numbers:
+            if not layout.fits or (line.partition("#")[0].strip() and not are_numbers):
                 return number, line
     return 0, ""  # numbers in a form that Python reads and NumPy does not

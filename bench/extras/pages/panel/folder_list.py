@@ -55,7 +55,7 @@ class FolderList:
     def look(self) -> FolderContent:
         """Look at the folder; what cannot be read is a fault."""
         content: FolderContent = {
-            "root": str(self.root),
+            "root": str(self.root.absolute()),
             "exists": True,
             "unread": 0,
             "runs": [],

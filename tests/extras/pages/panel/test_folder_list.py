@@ -2,6 +2,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import pytest
 from journals import MadeRun, made_batch
@@ -17,13 +18,15 @@ def _look(root):
     return listing
 
 
-def test_runs_of_all_kinds_newest_first(tmp_path):
+def test_runs_of_all_kinds_newest_first(tmp_path, monkeypatch):
     MadeRun(tmp_path / "a").begin().record_all().end()
     MadeRun(tmp_path / "b").begin().end("failed", "the lamp is broken")
     MadeRun(tmp_path / "deeper" / "c").begin()
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "empty").mkdir()
-    listing = _look(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    listing = _look(Path())
+    assert listing["root"] == str(tmp_path)
     rows = {row["key"]: row for row in listing["runs"]}
     verdicts = {"a": "not sealed", "b": "failed", "deeper/c": "interrupted"}
     assert {key: row["verdict"] for key, row in rows.items()} == verdicts

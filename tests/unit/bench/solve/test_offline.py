@@ -150,7 +150,7 @@ def test_recordings_of_different_cameras_are_refused_by_their_serial_numbers(tmp
         (tmp_path / f"{name}.raw").write_bytes(f"% format EVT3;height=720;width=1280\n{line}% end\n".encode())
     sources = [ViewSource(tmp_path / f"{name}.raw", lambda: None) for name in serials]
     require_one_camera(sources[:3])
-    with pytest.raises(BenchError, match=r"2 cameras, .*: 51 \(a, b\), 52 \(d\)"):
+    with pytest.raises(BenchError, match=r"2 cameras, .*: 00051 \(a, b\), 00052 \(d\)"):
         require_one_camera(sources)
 
 

@@ -138,8 +138,6 @@ def test_text_of_pandas_has_an_index_and_words_for_polarities(tmp_path):
         "Notes of the day\n\nNothing was recorded.\n",
         "v,u,p,t\n5,6,1,1000\n",
         "row,col,polarity,event_time\n6,5,1,1000\n",
-        "t,x,y,p\n1,1000,5,60,1\n",  # R's `write.table` has no name for its numbers of rows
-        "t;x;y;p\n0,5;1;2;1\n",
         f"{WIDTH} {HEIGHT}\n1000 5 6 1\n",
         f"t,x@{WIDTH},y@{HEIGHT},on\n1000,5,6,1\n",
     ],
@@ -151,10 +149,32 @@ def test_text_of_other_layouts_is_refused_with_the_forms_that_are_read(tmp_path,
     assert caught.value.remedy == FORMS_OF_EVENTS
 
 
+@pytest.mark.parametrize(
+    ("head", "line"),
+    [
+        ("t,x,y,p\n", "1,1000,5,60,1"),  # R's `write.table` has no name for its numbers of rows
+        ("t;x;y;p\n", "0,5;1;2;1"),
+        ("t;x;y;p\n", "0,5;1,0;2,0;1,0"),
+        ("t,x,y,p\n", "0,5,1,2,1"),
+        ("t x y p\n", "0,5 1 2 1"),
+        ("", "0,5;1;2;1"),
+        ("", "0,5\t1\t2\t1"),
+    ],
+)
+def test_a_line_that_is_no_event_is_quoted(tmp_path, head, line):
+    (tmp_path / "a.csv").write_text(f"{head}{line}\n")
+    with pytest.raises(NotARecording, match=f"Line {1 + bool(head)} ") as caught:
+        import_events(tmp_path / "a.csv", SIZED)
+    assert repr(line) in caught.value.what
+    assert "decimal point" in caught.value.remedy
+
+
 @pytest.mark.parametrize("order", ["xytp", "xypt", "ptxy"])
-def test_text_without_names_in_another_order_is_not_read(tmp_path, order):
-    with pytest.raises(RecordingFileError):
-        import_events(text(tmp_path / "a.txt", "", order, " "), SIZED)
+@pytest.mark.parametrize("unit", [1, 1e-6])
+def test_text_without_names_in_another_order_is_refused_with_the_one_that_was_read(tmp_path, order, unit):
+    with pytest.raises(RecordingFileError) as caught:
+        import_events(text(tmp_path / "a.txt", "", order, " ", unit), SIZED)
+    assert "t, x, y, p" in caught.value.remedy.removeprefix(FORMS_OF_EVENTS)
 
 
 def test_text_without_a_size_or_with_a_torn_line_is_refused(tmp_path):
