@@ -12,6 +12,7 @@ from running import called, journal, results, starbench
 from shared_folder import shared_folder
 
 from bench.measure.measure_frames import frame_gates, measure_frames
+from bench.stations.station import SHIPPED_STATIONS
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import OpenCvFrameCamera
@@ -27,10 +28,19 @@ from simulators.world.world import AxisMotion, LightState, World
 STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
 
 
+SMALL = {"width": 640, "height": 360, "fx": 1672.0, "fy": 1672.0, "cx": 320.0, "cy": 180.0}
+"""The same field of view as the camera of the bench, with a quarter of its pixels."""
+
+
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
     def make(folder):
-        words = ("run", "three_pose", "-s", "simulated_frames", "--seed", 7, "-o", folder / "run")
+        text = (SHIPPED_STATIONS / "simulated_frames.yaml").read_text(encoding="utf-8")
+        expected = "expected:\n  image_size: [640, 360]\n  focal_px: 1672"
+        text = text.replace("simulation:\n", f"simulation:\n  camera: {json.dumps(SMALL)}\n")
+        station = folder / "small.yaml"
+        station.write_text(text.replace("expected:\n  focal_px: 3300", expected), encoding="utf-8")
+        words = ("run", "three_pose", "-s", station, "--seed", 7, "-o", folder / "run")
         called(*words, home=folder / "home")
 
     return shared_folder(tmp_path_factory, "frames", make) / "run"
@@ -59,7 +69,7 @@ def test_a_run_with_a_frame_camera_ends_with_focal_length_and_principal_point_wi
 def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):
     captures = sorted(path.name for path in (finished / "captures").iterdir())
     assert captures == [f"pose-{n:03d}-attempt-1.tif" for n in (1, 2, 3)]
-    assert read_frames(finished / "captures" / captures[0]).shape == (8, 720, 1280)
+    assert read_frames(finished / "captures" / captures[0]).shape == (8, 360, 640)
     stored = [line for line in journal(finished) if line["event"] == "capture_stored"]
     assert {capture["light"]["waveform"] for capture in stored} == {"steady"}
     assert {capture["facts"]["frames"] for capture in stored} == {8}
@@ -105,8 +115,7 @@ def test_pictures_of_a_run_played_again_give_the_same_camera(finished, home, tmp
 
 @pytest.fixture
 def world():
-    small = CameraTruth(width=640, height=360, fx=1672.0, fy=1672.0, cx=320.0, cy=180.0)
-    world = World(Truth(camera=small), seed=3, clock=time.monotonic)
+    world = World(Truth(camera=CameraTruth(**SMALL)), seed=3, clock=time.monotonic)
     world.set_light(STEADY)
     return world
 

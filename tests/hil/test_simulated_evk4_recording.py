@@ -54,12 +54,6 @@ def recorded(tmp_path_factory):
     return path, record_flicker(path)
 
 
-@pytest.fixture
-def dark():
-    with bench(LightState(output=False, sync=True)) as (camera, address):
-        yield camera, address
-
-
 def test_the_lights_edges_arrive_as_triggers_a_half_period_apart(recorded):
     triggers = RawFile.open(recorded[0]).triggers()
     assert len(triggers.t) >= 4
@@ -119,10 +113,10 @@ def measured(path):
     return measure(path, name="p", target=StarTarget(), image="auto", periods=None, expected_hz=60.0)
 
 
-def test_without_trigger_input_there_are_no_triggers(dark, tmp_path):
-    camera, _ = dark
-    camera.apply(CameraSettings(trigger_in=False))
-    assert camera.record(tmp_path / "pose.raw", 0.01).triggers == 0
+def test_without_trigger_input_there_are_no_triggers(tmp_path):
+    with bench(LightState(output=False, sync=True)) as (camera, _):
+        camera.apply(CameraSettings(trigger_in=False))
+        assert camera.record(tmp_path / "pose.raw", 0.01).triggers == 0
 
 
 def test_an_overflow_shows_in_the_counters_until_it_is_cleared(tmp_path):

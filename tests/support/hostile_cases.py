@@ -76,7 +76,7 @@ READERS = {
     "folder-status": (("status", "{}"), "bad"),
 }
 FEW_WRONG = {"empty", "random", "sparse", "fifo", "device", "link-to-itself", "endless-line"}
-_FEW_READERS = ("plan-sequence", "calibrate-points", "convert", "passport-show", "undistort")
+_FEW_READERS = ("calibrate-points", "convert", "passport-show")
 
 
 def wrong_files(run: Path) -> Iterator[Case]:

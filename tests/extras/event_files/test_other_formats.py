@@ -93,21 +93,15 @@ def bag(path, version, rows, kind, *, name=PACKET, data=None, topics=("/events",
             is_bigendian=False,
             events=np.frombuffer(data or evt21_words(rows), np.uint8),
         )
-    if version == 1:
-        from rosbags.rosbag1 import Writer
+    from rosbags import rosbag1, rosbag2
 
-        with Writer(path) as writer:
-            for topic in topics:
-                connection = writer.add_connection(topic, name, typestore=store)
-                for message.seq in numbers:
-                    writer.write(connection, ORIGIN_US * 1000, store.serialize_ros1(message, name))
-        return path
-    from rosbags.rosbag2 import Writer
-
-    with Writer(path, version=9) as writer:
+    opened = rosbag1.Writer(path) if version == 1 else rosbag2.Writer(path, version=9)
+    serialize = store.serialize_ros1 if version == 1 else store.serialize_cdr
+    with opened as writer:
         for topic in topics:
             connection = writer.add_connection(topic, name, typestore=store)
-            writer.write(connection, ORIGIN_US * 1000, store.serialize_cdr(message, name))
+            for message.seq in numbers:
+                writer.write(connection, ORIGIN_US * 1000, serialize(message, name))
     return path
 
 
@@ -210,9 +204,9 @@ def test_messages_that_ros_lost_are_told_where_words_depend_on_them(tmp_path, nu
     assert len(import_events(bag(tmp_path / "b.bag", 1, rows, "evt21", numbers=numbers)).events.t)
 
 
-def test_the_folder_of_a_ros_2_bag_is_converted(tmp_path):
-    rows = some_events(80)
-    folder = bag(tmp_path / "a", 2, rows, "evt21")
+def test_the_folder_of_a_ros_2_bag_is_converted_and_a_file_of_it_stands_for_it(tmp_path):
+    folder = bag(tmp_path / "a", 2, some_events(80), "evt21")
+    assert len(import_events(next(folder.glob("*.db3"))).events.t) == 80
     assert convert(folder, tmp_path / "a.raw", "raw").events == 80
     header = RawFile.open(tmp_path / "a.raw").header
     assert (header["date"], header["ros_topic"]) == ("2023-11-14 22:13:20", "/events")
@@ -229,13 +223,6 @@ def test_a_bag_that_was_not_closed_or_lacks_a_file_is_told_with_the_way_on(tmp_p
         next(path.glob("*.db3")).unlink()
     with pytest.raises(NotARecording, match=f" {program} reindex {path.name}"):
         import_events(path)
-
-
-def test_a_file_of_a_ros_2_bag_stands_for_its_folder(tmp_path):
-    rows = some_events(50)
-    folder = bag(tmp_path / "a", 2, rows, "evt21")
-    file = next(folder.glob("*.db3"))
-    assert len(import_events(file).events.t) == 50
 
 
 def test_an_encoding_that_cannot_be_read_is_named(tmp_path):

@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from types import SimpleNamespace
 
 import pytest
 from camera_words import words_of
@@ -59,22 +60,20 @@ def test_an_existing_file_is_never_overwritten(camera, tmp_path):
     assert path.read_bytes() == b"precious"
 
 
-def test_a_log_that_cannot_be_opened_is_told(device, camera, tmp_path):
-    device.facilities["events_stream"].may_log = False
-    with pytest.raises(RecordingFailed, match="cannot write"):
-        camera.record(tmp_path / "pose.raw", 0.01)
-
-
-def test_bytes_that_did_not_reach_the_file_are_noticed(device, camera, tmp_path):
-    device.facilities["events_stream"].log_takes = 5
-    with pytest.raises(RecordingFailed, match=r"covers only 0\.009999 s"):
-        camera.record(tmp_path / "pose.raw", 0.033)
-
-
-def test_a_full_disk_is_told_as_such(device, camera, tmp_path, monkeypatch):
-    device.facilities["events_stream"].log_takes = 5
-    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 0})())
-    with pytest.raises(RecordingFailed, match="disk is full"):
+@pytest.mark.parametrize(
+    ("log", "free", "fault"),
+    [
+        ({"may_log": False}, 1, "cannot write"),
+        ({"log_takes": 5}, 10**12, r"covers only 0\.009999 s"),
+        ({"log_takes": 5}, 0, "disk is full"),
+    ],
+)
+def test_bytes_that_do_not_reach_the_file_are_noticed(
+    device, camera, tmp_path, monkeypatch, log, free, fault
+):
+    vars(device.facilities["events_stream"]).update(log)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    with pytest.raises(RecordingFailed, match=fault):
         camera.record(tmp_path / "pose.raw", 0.033)
 
 
