@@ -24,8 +24,9 @@ from drivers.clock import Clock
 from drivers.errors import PortError, PortLost, ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.lateness import REMEDY as BUSY_REMEDY
 from drivers.lateness import Deadline, busy_text
-from drivers.serial_port import Port, Reopening
+from drivers.serial_port import Port, ReopeningPort
 from drivers.silence import ECHO_REMEDY, KEPT, ONE_AT_A_TIME, Cause, known_cause, why_incomplete
+from drivers.visa_port import VisaPort
 from drivers.wire_log import Direction, WireLog
 
 TRIES: Final = 3
@@ -160,6 +161,7 @@ class Link(ABC):
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self.lock = threading.RLock()
+        self.name = port.name
         self._port = port
         self._clock = clock
         self._wire_log = wire_log
@@ -189,11 +191,6 @@ class Link(ABC):
         return not data
 
     @property
-    def name(self) -> str:
-        """The port's name."""
-        return self._port.name
-
-    @property
     def unread(self) -> bytes:
         """Bytes that have arrived and that nobody has taken yet."""
         return bytes(self._buffer)
@@ -209,7 +206,7 @@ class Link(ABC):
 
         ``read_reply`` raises `ReplyGarbled` when the bytes are no reply to this request; ``deadline_s`` is for the
         whole reply; None stands for ``reply_s``. After an error the line is resynchronised before the next request. On
-        a `Reopening` port that is gone, the request is sent once more after the port was opened again.
+        a port that is gone and can be opened again, the request is sent once more after the port was opened again.
         """
         with self.lock:
             try:
@@ -220,12 +217,12 @@ class Link(ABC):
             return self._exchange_once(request, read_reply, deadline_s)
 
     def connect_again(self, lost: PortLost | None = None) -> bool:
-        """Open a `Reopening` port again, and ask who is there before the next request; False for any other port.
+        """Open a port again that can be, and ask who is there before the next request; False for any other port.
 
         Without ``lost`` only a connection on a network. A port that cannot be opened raises ``lost``, with the reason,
         or the error of opening.
         """
-        if not isinstance(self._port, Reopening) or not (lost or self._port.is_network):
+        if not isinstance(self._port, ReopeningPort | VisaPort) or not (lost or self._port.is_network):
             return False
         with self.lock:
             for tries_left in reversed(range(CONNECT_TRIES if self._port.is_network else 1)):

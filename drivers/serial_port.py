@@ -14,10 +14,10 @@ import contextlib
 import errno
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, ParamSpec, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, ParamSpec, Protocol, Self, TypeVar
 
 import serial
 
@@ -99,27 +99,16 @@ class Port(Protocol):
 class SerialPort:
     """An open serial port, locked for this program.
 
-    Opening sends nothing and leaves the modem lines as the system sets them. ``frame`` is data bits, parity (N, E or O)
-    and stop bits, ``xonxoff`` whether the bytes XON and XOFF hold the sender. The
-    address is a device file, preferably below ``/dev/serial/by-id/``, a port name of the system, ``socket://host:port``
-    or ``rfc2217://host:port``; other URLs of pyserial are refused. ``rtscts``: the device uses the lines RTS and CTS to
-    hold the sender, which a pseudo-terminal and ``socket://`` do not have and ignore.
+    Opening sends nothing and leaves the modem lines as the system sets them. The address is a device file, preferably
+    below ``/dev/serial/by-id/``, a port name of the system, ``socket://host:port`` or ``rfc2217://host:port``; other
+    URLs of pyserial are refused. A pseudo-terminal and ``socket://`` have no lines RTS and CTS and ignore ``rtscts``.
     """
 
-    def __init__(
-        self, address: str, *, baudrate: int, rtscts: bool = False, frame: str = "8N1", xonxoff: bool = False
-    ) -> None:
-        self._name = address
-        self._rtscts = rtscts
-        settings = LineSettings(baudrate, rtscts, frame, xonxoff)
-        self._open: Callable[[], Any] = lambda: _open(address, settings)
-        self._serial = self._open()
+    def __init__(self, address: str, settings: LineSettings) -> None:
+        self.name = address
+        self._settings = settings
+        self._serial = _open(address, settings)
         self._lost = False
-
-    @property
-    def name(self) -> str:
-        """The name it was opened by."""
-        return self._name
 
     def read(self, timeout_s: float) -> bytes:
         """See `Port.read`."""
@@ -142,11 +131,11 @@ class SerialPort:
                 return
             with contextlib.suppress(*_LOST):
                 self._serial.reset_output_buffer()  # a command that is sent late would be a motion
-            if not self._rtscts:
+            if not self._settings.rtscts:
                 raise
             raise PortLost(
                 f"the device takes no bytes: its line CTS was off for {_WRITE_S:g} s.",
-                where=self._name,
+                where=self.name,
                 remedy="Check that it is switched on and that the cable has the lines RTS and CTS, or write"
                 " rtscts: false in the station file.",
             ) from error
@@ -188,12 +177,12 @@ class SerialPort:
 
     def _try(self, action: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
         if self._lost or not self._serial.is_open:
-            raise port_lost(self._name, "it was closed or lost before.")
+            raise port_lost(self.name, "it was closed or lost before.")
         try:
             return action(*arguments, **named)
         except _LOST as error:
             self._lost = True
-            raise port_lost(self._name, f"the system reports: {error}.") from error
+            raise port_lost(self.name, f"the system reports: {error}.") from error
 
 
 def port_lost(name: str, why: str) -> PortLost:
@@ -201,20 +190,6 @@ def port_lost(name: str, why: str) -> PortLost:
     more = ONE_AT_A_TIME if "://" in name else " Perhaps another program reads from it, too."
     remedy = f"Check that the device is powered and plugged in, then resume.{more}"
     return PortLost(f"the port is gone; {why}", where=name, remedy=remedy)
-
-
-@runtime_checkable
-class Reopening(Protocol):
-    """A port that can be opened again when it is gone."""
-
-    @property
-    def is_network(self) -> bool:
-        """Whether it is a connection on a network."""
-        ...
-
-    def reopen(self) -> None:
-        """Close the port, and open it again, with the errors of opening."""
-        ...
 
 
 class ReopeningPort(SerialPort):
@@ -225,13 +200,13 @@ class ReopeningPort(SerialPort):
 
     @property
     def is_network(self) -> bool:
-        """See `Reopening.is_network`."""
-        return "://" in self._name
+        """Whether it is a connection on a network."""
+        return "://" in self.name
 
     def reopen(self) -> None:
-        """See `Reopening.reopen`."""
+        """Close the port, and open it again, with the errors of opening."""
         self.close()
-        self._serial = self._open()
+        self._serial = _open(self.name, self._settings)
         self._lost = False
 
 
@@ -239,7 +214,7 @@ class LineSettings(NamedTuple):
     """Settings of a serial line."""
 
     baudrate: int  # Bits per second
-    rtscts: bool = False  # Whether the device uses the lines RTS and CTS
+    rtscts: bool = False  # Whether the device holds the sender by the lines RTS and CTS
     frame: str = "8N1"  # Data bits, parity (none, even, odd) and stop bits
     xonxoff: bool = False  # Whether the bytes XON and XOFF hold the sender
 
@@ -343,37 +318,31 @@ def closed_on_error(*ports: Port) -> Iterator[None]:
 class OnOnePort:
     """A device on one port. Open it with ``open``; its constructor takes a port that is open already."""
 
-    BAUDRATE: ClassVar[int]
-    RTSCTS: ClassVar[bool] = False
+    SETTINGS: ClassVar[LineSettings]
 
     @classmethod
     def open(
         cls,
         port: str,
         *arguments: Any,
-        baudrate: int | None = None,
-        rtscts: bool | None = None,
-        frame: str | None = None,
-        xonxoff: bool | None = None,
+        line: Mapping[str, Any] | None = None,
         clock: Clock,
         wire_log: WireLog | None = None,
         **more: Any,
     ) -> Self:
         """Open the port and the device on it. `SerialPort` raises the errors of opening.
 
-        Settings of the line that are None stand for the device's own; the other arguments are those of the constructor.
+        ``line`` has the `LineSettings` that are not the device's own; the other arguments are those of the constructor.
         """
         construct: Any = cls
-        stated = {"baudrate": baudrate, "rtscts": rtscts, "frame": frame, "xonxoff": xonxoff}
-        given: dict[str, Any] = {name: value for name, value in stated.items() if value is not None}
-        opened = cls._opened(port, cls._line_settings(*arguments)._replace(**given))
+        opened = cls._opened(port, cls._line_settings(*arguments)._replace(**(line or {})))
         device: Self = construct(opened, *arguments, clock=clock, wire_log=wire_log, **more)
         return device
 
     @classmethod
     def _opened(cls, address: str, settings: LineSettings) -> Port:
-        return SerialPort(address, **settings._asdict())
+        return SerialPort(address, settings)
 
     @classmethod
     def _line_settings(cls, *_arguments: Any) -> LineSettings:
-        return LineSettings(cls.BAUDRATE, cls.RTSCTS)
+        return cls.SETTINGS

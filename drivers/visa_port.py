@@ -42,7 +42,7 @@ class VisaPort:
     is_network: Final = True
 
     def __init__(self, address: str) -> None:
-        self._name = address
+        self.name = address
         self._hold = DeviceHold(address)
         self._asked = False
         """Whether a query was sent whose answer has not come."""
@@ -53,15 +53,10 @@ class VisaPort:
             self._hold.release()
             raise
 
-    @property
-    def name(self) -> str:
-        """The address it was opened by."""
-        return self._name
-
     def reopen(self) -> None:
         """Open it, again if need be. Nothing is sent."""
         self._close_resource()
-        self._resource = _open(self._name)
+        self._resource = _open(self.name)
         self._asked = False
 
     def read(self, timeout_s: float) -> bytes:
@@ -117,8 +112,8 @@ class VisaPort:
                 return action(argument)
             except Exception as error:  # PyVISA passes on the errors of many libraries
                 self._close_resource()
-                raise port_lost(self._name, f"PyVISA reports: {error}.") from error
-        raise port_lost(self._name, "it was closed or lost before.")
+                raise port_lost(self.name, f"PyVISA reports: {error}.") from error
+        raise port_lost(self.name, "it was closed or lost before.")
 
 
 def _open(address: str) -> Any:

@@ -25,7 +25,7 @@ from drivers.stage.grbl_controller import GrblController
 from drivers.stage.thorlabs import ThorlabsStage
 from drivers.stage.thorlabs_controller import ThorlabsController
 from drivers.stage.ximc import XimcController, XimcStage
-from drivers.stage.zaber import ZaberChain
+from drivers.stage.zaber import ZaberChain, ZaberStage
 from drivers.text_line import ScpiLine
 
 AXES: Final = ("pan", "tilt", "roll")
@@ -38,7 +38,6 @@ RESTARTS: Final = frozenset({"grbl"})
 """Drivers whose controller may restart when its port is opened: it then loses its position."""
 NAMED_BY_MAKER: Final[Mapping[str, str]] = {"ximc": "XIMC", "thorlabs_apt": "Thorlabs"}
 """A word in the system's name of the ports of controllers with messages that are no text."""
-ZABER_BAUDRATE: Final = 115_200  # The factory's
 _SCALE: Final = 100  # First of GRBL's settings of steps a degree
 _TRAVEL: Final = 130
 """Numbers of the settings of GRBL's first axis: steps per unit, travel in units."""
@@ -141,7 +140,7 @@ def dialect_of(maker: str, model: str) -> DialectName:
 def _zaber_axes(port: str, clock: Clock) -> list[AskedAxis]:
     """Return the devices of a chain, from address 1 on, one axis each."""
     axes = []
-    with closing(SerialPort(port, baudrate=ZABER_BAUDRATE)) as line:
+    with closing(SerialPort(port, ZaberStage.SETTINGS)) as line:
         chain = ZaberChain(line, range(1, len(AXES) + 1), clock=clock)
         for device, name in enumerate(AXES, start=1):
             try:
@@ -160,7 +159,7 @@ def _zaber_axes(port: str, clock: Clock) -> list[AskedAxis]:
 def _esp_axes(port: str, clock: Clock) -> list[AskedAxis]:
     """Return the axes of an ESP controller that have a stage, with their limits; they count in degrees."""
     axes = []
-    with closing(SerialPort(port, baudrate=EspStage.BAUDRATE, rtscts=EspStage.RTSCTS)) as line:
+    with closing(SerialPort(port, EspStage.SETTINGS)) as line:
         link = EspStage.line(line, clock)
         for number, name in enumerate(AXES, start=1):
             try:
@@ -175,7 +174,7 @@ def _esp_axes(port: str, clock: Clock) -> list[AskedAxis]:
 
 def _grbl_axes(port: str, clock: Clock) -> list[AskedAxis]:
     """Return pan and tilt of a board, X and Y, with the scales and the travel that it has stored."""
-    with closing(SerialPort(port, baudrate=GrblStage.BAUDRATE)) as line:
+    with closing(SerialPort(port, GrblStage.SETTINGS)) as line:
         board = GrblController(line, clock=clock)
         name, settings = board.query_build_info()[1], board.query_settings()
     axes = []
@@ -188,25 +187,25 @@ def _grbl_axes(port: str, clock: Clock) -> list[AskedAxis]:
 
 
 def _ximc_axis(port: str, name: str, clock: Clock) -> AskedAxis:
-    with closing(SerialPort(port, **XimcStage.PORT)) as line:
+    with closing(SerialPort(port, XimcStage.SETTINGS)) as line:
         return AskedAxis(name, 1, XimcController(line, clock=clock).serial, None, port=port)
 
 
 def _thorlabs_axis(port: str, name: str, clock: Clock) -> AskedAxis:
-    with closing(SerialPort(port, **ThorlabsStage.PORT)) as line:
+    with closing(SerialPort(port, ThorlabsStage.SETTINGS)) as line:
         controller = ThorlabsController(line, clock=clock)
         information, scale = controller.read_information(), controller.family.counts_per_deg or None
     return AskedAxis(name, 1, information.serial, scale, port=port, model=information.model)
 
 
 def _generator(port: str, clock: Clock) -> AskedLight:
-    with closing(SerialPort(port, baudrate=ScpiLight.BAUDRATE)) as line:
+    with closing(SerialPort(port, ScpiLight.SETTINGS)) as line:
         maker, model, serial, _ = ScpiLine(line, clock=clock).identity
     return AskedLight(port, f"{maker} {model}", "" if serial == "0" else serial, dialect_of(maker, model))
 
 
 def _strobe_controller(port: str, clock: Clock) -> AskedLight:
-    with closing(SerialPort(port, baudrate=GardasoftLight.BAUDRATE)) as line:
+    with closing(SerialPort(port, GardasoftLight.SETTINGS)) as line:
         text = RtLine(line, clock=clock).identity_text
     identity = IDENTITY.fullmatch(text)
     model = identity[1] if identity else text

@@ -22,6 +22,7 @@ from drivers.camera import EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.clock import Clock
 from drivers.light import Light, LightSettings
+from drivers.serial_port import LineSettings
 from drivers.stage import AxisLimits, Stage
 from drivers.wire_log import WireLog
 from sequences.schema import Angle, Axis
@@ -103,9 +104,9 @@ class SerialLine(StrictModel):
     """Whether the bytes XON and XOFF hold the sender. Default: false."""
 
     def line(self, clock: Clock, wire_log: WireLog | None) -> dict[str, Any]:
-        """Return how the driver opens the line, by name; None is what the controller's family has."""
-        keys = ("baudrate", "rtscts", "frame", "xonxoff")
-        return {key: getattr(self, key) for key in keys} | {"clock": clock, "wire_log": wire_log}
+        """Return how the driver opens the line, by name; what is not stated is as the controller's family has it."""
+        stated = self.model_dump(include=set(LineSettings._fields), exclude_none=True)
+        return {"line": stated, "clock": clock, "wire_log": wire_log}
 
 
 class _Section(StrictModel):

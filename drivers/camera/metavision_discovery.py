@@ -53,7 +53,7 @@ _UPDATE: Final = "Update the camera's firmware with the maker's updater (support
 
 @contextmanager
 def listening() -> Iterator[list[str]]:
-    """Listen to standard error during the block; `cameras_with_old_firmware` then knows what was said.
+    """Listen to standard error during the block; `refused_firmware` then has what was said.
 
     What was said is there when the block has ended; nothing is heard if standard error is closed.
     """
@@ -78,11 +78,6 @@ def listening() -> Iterator[list[str]]:
             refused_firmware.update(_OLD_FIRMWARE.findall(words[0]))
             with suppress(OSError):
                 os.write(_STDERR, output)
-
-
-def cameras_with_old_firmware() -> frozenset[str]:
-    """Return the serial numbers of the cameras that the maker's software refused for their firmware."""
-    return frozenset(refused_firmware)
 
 
 def discover() -> tuple[FoundCamera, ...]:
@@ -120,7 +115,7 @@ def _look() -> tuple[tuple[FoundCamera, ...], bool]:
     missing = on_usb is None or len(on_usb) > len(
         cameras
     )  # an old one may have been unplugged since it was refused
-    refused = sorted(cameras_with_old_firmware() - {camera.serial for camera in cameras}) if missing else []
+    refused = sorted(refused_firmware - {camera.serial for camera in cameras}) if missing else []
     trouble = f"its firmware is older than {OLDEST_FIRMWARE}. {_UPDATE}."
     cameras += [FoundCamera("metavision", serial, "Prophesee", trouble) for serial in refused]
     return tuple(cameras), any(_DENIED in words for words in heard)

@@ -11,11 +11,9 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 from drivers.errors import CameraSettingRefused
-
-T = TypeVar("T")
 
 USB_DEVICES: Final = Path("/sys/bus/usb/devices")
 """Folder in which Linux lists the devices on USB."""
@@ -37,31 +35,31 @@ opens as an EVK4 (its ``prophesee_evk4.rs``)."""
 def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> list[str]:
     """Return what to do for each known event camera on USB that this user may not open; empty on other systems."""
     unreadable = []
-    for device, name in _cameras(devices):
+    for device, kind in _cameras(devices):
         with suppress(OSError, ValueError):
             node = nodes / f"{int(_read(device, 'busnum')):03d}" / f"{int(_read(device, 'devnum')):03d}"
             if not os.access(node, os.R_OK | os.W_OK):
                 unreadable.append(
-                    f"A {name} is connected, but this user may not use it ({node}): install the udev rules of its"
-                    " maker (in OpenEB: hal_psee_plugins/resources/rules), then plug it in again."
+                    f"A {_name(kind)} is connected, but this user may not use it ({node}): install the udev rules of"
+                    " its maker (in OpenEB: hal_psee_plugins/resources/rules), then plug it in again."
                 )
     return unreadable
 
 
 def connected_cameras(devices: Path = USB_DEVICES) -> list[str] | None:
     """Return the kind of each known event camera on USB; None if the system has no such list."""
-    return [name for _, name in _cameras(devices)] if devices.is_dir() else None
+    return [_name(kind) for _, kind in _cameras(devices)] if devices.is_dir() else None
 
 
 def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
     """Return what to do for each known event camera that is not connected by USB 3; empty on other systems."""
     slow = []
-    for device, name in _cameras(devices):
+    for device, kind in _cameras(devices):
         speed_mbit_s = _speed_mbit_s(device)
         if speed_mbit_s is not None and speed_mbit_s < LEAST_MBIT_S:
             slow.append(
-                f"A {name} is connected at {speed_mbit_s} Mbit/s (USB 2); it would lose events. Use a USB 3 port and"
-                f" cable ({LEAST_MBIT_S} Mbit/s or more)."
+                f"A {_name(kind)} is connected at {speed_mbit_s} Mbit/s (USB 2); it would lose events. Use a USB 3 port"
+                f" and cable ({LEAST_MBIT_S} Mbit/s or more)."
             )
     return slow
 
@@ -80,7 +78,7 @@ def only_camera_kind(devices: Path = USB_DEVICES) -> tuple[str, str] | None:
 
     None if none is listed, or if there are several kinds: the package does not say which it has opened.
     """
-    kinds = {kind for _, kind in _listed(devices, _KINDS)}
+    kinds = {kind for _, kind in _cameras(devices)}
     return kinds.pop() if len(kinds) == 1 else None
 
 
@@ -94,20 +92,20 @@ def check_link(link_mbit_s: int | None, where: str) -> None:
         )
 
 
-def _cameras(devices: Path) -> list[tuple[Path, str]]:
-    """List the folders of the known event cameras, and what they are."""
-    return [(device, f"{maker} camera ({model})") for device, (maker, model) in _listed(devices, _KINDS)]
+def _name(kind: tuple[str, str]) -> str:
+    maker, model = kind
+    return f"{maker} camera ({model})"
 
 
-def _listed(devices: Path, known: Mapping[tuple[str, str], T]) -> list[tuple[Path, T]]:
-    """List the folders of the devices that are known, and what they are."""
-    named_devices = []
+def _cameras(devices: Path) -> list[tuple[Path, tuple[str, str]]]:
+    """List the folders of the known event cameras, each with maker and model."""
+    cameras = []
     for device in sorted(devices.iterdir()) if devices.is_dir() else ():
         with suppress(OSError, ValueError):
-            name = known.get((_read(device, "idVendor").lower(), _read(device, "idProduct").lower()))
-            if name is not None:
-                named_devices.append((device, name))
-    return named_devices
+            kind = _KINDS.get((_read(device, "idVendor").lower(), _read(device, "idProduct").lower()))
+            if kind is not None:
+                cameras.append((device, kind))
+    return cameras
 
 
 def _speed_mbit_s(device: Path) -> int | None:

@@ -17,7 +17,7 @@ from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.watched import FULL_SCALE_V, WatchedLight, percent_faults, steady_settings
 from drivers.quantity import Quantity, read_quantity
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import LineSettings, Port, closed_on_error
 from drivers.text_line import PROMPT_S, READABLE_REMEDY, TextLine
 from drivers.wire_log import WireLog
 
@@ -140,7 +140,7 @@ class GardasoftLight(WatchedLight):
     """
 
     _line: RtLine
-    BAUDRATE = 115200
+    SETTINGS = LineSettings(115200)
     STAYS_LIT = ("the trigger still runs or the light is still lit", "Switch the controller off.")
 
     def __init__(

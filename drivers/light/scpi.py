@@ -15,7 +15,7 @@ from drivers.light import LightIdentity, LightSettings
 from drivers.light.scpi_dialects import DIALECTS, DialectName, GeneratorReading, Load, Mode, Setting
 from drivers.light.watched import WatchedLight
 from drivers.serial_number import is_same_serial
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import LineSettings, Port, closed_on_error
 from drivers.text_line import InstrumentError, ScpiLine
 from drivers.wire_log import WireLog
 
@@ -27,7 +27,7 @@ class ScpiLight(WatchedLight):
     "numbered" or "siglent".
     """
 
-    BAUDRATE = 9600
+    SETTINGS = LineSettings(9600)
     _line: ScpiLine
     OUTPUT = LAMP = "output"
     STAYS_DARK = ("reads off", "Check whether the generator shows an overload of its output.")

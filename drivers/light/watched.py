@@ -51,7 +51,7 @@ class WatchedLight(OnOnePort, ABC):
         url = socket_url(address) or address
         if url.startswith(VISA_PREFIX):
             return VisaPort(url)
-        return ReopeningPort(url, **settings._asdict())
+        return ReopeningPort(url, settings)
 
     # ------------------------------------------------------------ what a family implements
 

@@ -17,7 +17,7 @@ from typing import Literal
 from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyTimeout
-from drivers.serial_port import Port
+from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
 from drivers.stage.refusals import no_reference, not_movable, reads_otherwise
@@ -117,8 +117,7 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
     Limits beyond the controller's, and axes that do not count in degrees, raise `OutsideLimits`.
     """
 
-    BAUDRATE = 19200
-    RTSCTS = True  # the maker's controllers always use the two lines
+    SETTINGS = LineSettings(19200, rtscts=True)  # the maker's controllers always use the two lines
 
     @staticmethod
     def line(port: Port, clock: Clock, wire_log: WireLog | None = None) -> TextLine:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
-from drivers.serial_port import Port
+from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.grbl_controller import GrblController, SettingReadOnly
 from drivers.stage.grbl_protocol import (
@@ -73,7 +73,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
     values that the board must have, such as ``$3``. These, scale or travel that do not fit raise `OutsideLimits`.
     """
 
-    BAUDRATE = 115200
+    SETTINGS = LineSettings(115200)
 
     def __init__(
         self,

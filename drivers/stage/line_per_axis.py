@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from drivers.clock import Clock
 from drivers.link import Link
-from drivers.serial_port import Port, SerialPort, closed_on_error
+from drivers.serial_port import LineSettings, Port, SerialPort, closed_on_error
 from drivers.stage import motion
 from drivers.stage.motion import A
 from drivers.stage.refusals import CLEAR_AND_HOME, no_reference, not_movable
@@ -52,8 +52,8 @@ class LinePerAxisStage(WatchedStage[A], Generic[A, C]):
     """
 
     _lines: Mapping[str, C]
-    PORT: ClassVar[Mapping[str, Any]]
-    """Settings of the ports, for ``SerialPort``."""
+    SETTINGS: ClassVar[LineSettings]
+    """Settings of the ports."""
     CONTROLLER: ClassVar[Callable[..., Any]]
     """Makes the line of a controller on an open port."""
     FAULT_REMEDY: ClassVar = CLEAR_AND_HOME
@@ -92,7 +92,7 @@ class LinePerAxisStage(WatchedStage[A], Generic[A, C]):
         with ExitStack() as opened:
             for axis in axes:
                 address: Any = axis
-                ports.append(SerialPort(address.port, **cls.PORT))
+                ports.append(SerialPort(address.port, cls.SETTINGS))
                 opened.callback(ports[-1].close)
             opened.pop_all()
         return cls(ports, axes, clock=clock, wire_log=wire_log)

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal
+from typing import Final, Literal
 
 from drivers.errors import DeviceRefused, OutsideLimits
+from drivers.serial_port import LineSettings
 from drivers.stage import AxisIdentity
 from drivers.stage.line_per_axis import LinePerAxisStage
 from drivers.stage.motion import Axis, check_scale
@@ -69,7 +70,7 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     Speed, acceleration or scale that do not fit the controller raise `OutsideLimits`.
     """
 
-    PORT: ClassVar = {"baudrate": 115200, "rtscts": True}
+    SETTINGS = LineSettings(115200, rtscts=True)
     CONTROLLER = ThorlabsController
     FAULT_REMEDY = "Clear the cause, switch the controller off and on, then home the stage."
 

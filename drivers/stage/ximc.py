@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.link import TRIES, ReplyReader, repeat
-from drivers.serial_port import Port
+from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion, ximc_protocol
 from drivers.stage.line_per_axis import AxisController, LinePerAxisStage
 from drivers.stage.motion import Axis
@@ -178,7 +178,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     Limits, speed or acceleration beyond the controller's raise `OutsideLimits`.
     """
 
-    PORT: ClassVar = {"baudrate": 115200, "frame": "8N2"}
+    SETTINGS = LineSettings(115200, frame="8N2")
     CONTROLLER = XimcController
 
     def _set_up(self) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
 from drivers.link import Link, ReplyReader, repeat
-from drivers.serial_port import Port
+from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion, zaber_protocol
 from drivers.stage.motion import Axis
 from drivers.stage.refusals import no_reference, not_as_stated, not_movable, reads_otherwise
@@ -197,7 +197,7 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
     Limits beyond the controller's travel, or other scales, raise `OutsideLimits`.
     """
 
-    BAUDRATE = 115200
+    SETTINGS = LineSettings(115200)
 
     def _connected(self, port: Port, wire_log: WireLog | None) -> ZaberChain:
         devices = [axis.device for axis in self._axes.values()]

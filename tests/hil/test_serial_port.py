@@ -22,12 +22,12 @@ import serial.rfc2217
 from drivers.clock import SystemClock
 from drivers.errors import PortBusy, PortDenied, PortLost, PortNotFound
 from drivers.link import Link
-from drivers.serial_port import SerialPort
+from drivers.serial_port import LineSettings, SerialPort
 
 HOLD = """
 import sys, time
-from drivers.serial_port import SerialPort
-port = SerialPort(sys.argv[1], baudrate=9600)
+from drivers.serial_port import LineSettings, SerialPort
+port = SerialPort(sys.argv[1], LineSettings(9600))
 print("held", flush=True)
 time.sleep(600)
 """
@@ -65,7 +65,7 @@ def plug(tmp_path) -> Iterator[Plug]:
 
 @pytest.fixture
 def port(plug) -> Iterator[SerialPort]:
-    port = SerialPort(str(plug.link), baudrate=115200)
+    port = SerialPort(str(plug.link), LineSettings(115200))
     yield port
     port.close()
 
@@ -82,7 +82,7 @@ def test_closing_leaves_the_modem_lines_up(plug, port) -> None:
 
 def test_a_port_is_opened_once_only_in_one_process(plug, port) -> None:
     with pytest.raises(PortBusy, match="another program"):
-        SerialPort(str(plug.link), baudrate=9600)
+        SerialPort(str(plug.link), LineSettings(9600))
 
 
 def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> None:
@@ -90,13 +90,13 @@ def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> No
     try:
         assert holder.stdout.readline() == "held\n"
         with pytest.raises(PortBusy):
-            SerialPort(str(plug.link), baudrate=9600)
+            SerialPort(str(plug.link), LineSettings(9600))
         holder.send_signal(signal.SIGKILL)
         holder.wait()
         os.set_blocking(plug.ours, False)
         with pytest.raises(BlockingIOError):
             os.read(plug.ours, 1)
-        SerialPort(str(plug.link), baudrate=9600).close()
+        SerialPort(str(plug.link), LineSettings(9600)).close()
     finally:
         holder.kill()
         holder.wait()
@@ -105,7 +105,7 @@ def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> No
 
 def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:
     with pytest.raises(PortNotFound, match=r"nowhere: .*no such port"):
-        SerialPort(str(tmp_path / "nowhere"), baudrate=9600)
+        SerialPort(str(tmp_path / "nowhere"), LineSettings(9600))
 
 
 def test_no_permission_is_told_with_its_remedy(plug, monkeypatch) -> None:
@@ -114,7 +114,7 @@ def test_no_permission_is_told_with_its_remedy(plug, monkeypatch) -> None:
 
     monkeypatch.setattr("serial.serialposix.os.open", refuse)
     with pytest.raises(PortDenied, match="dialout"):
-        SerialPort(str(plug.link), baudrate=9600)
+        SerialPort(str(plug.link), LineSettings(9600))
 
 
 def read_on(port: SerialPort) -> None:
@@ -142,7 +142,7 @@ def test_after_replugging_the_same_name_is_opened_anew(plug, port) -> None:
         port.read(1.0)
     port.close()
     plug.plug()
-    again = SerialPort(str(plug.link), baudrate=9600)
+    again = SerialPort(str(plug.link), LineSettings(9600))
     again.write(b"hello\n")
     assert os.read(plug.ours, 100) == b"hello\n"
     again.close()
@@ -150,7 +150,7 @@ def test_after_replugging_the_same_name_is_opened_anew(plug, port) -> None:
 
 def test_a_socket_serves_as_a_port() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        port = SerialPort(f"socket://127.0.0.1:{server.getsockname()[1]}", baudrate=9600)
+        port = SerialPort(f"socket://127.0.0.1:{server.getsockname()[1]}", LineSettings(9600))
         peer, _ = server.accept()
         port.write(b"over the net\n")
         assert peer.recv(100) == b"over the net\n"
@@ -253,7 +253,7 @@ def serve() -> Iterator[Callable[..., tuple[DeviceServer, SerialPort]]]:
         def serving() -> tuple[DeviceServer, SerialPort]:
             server = DeviceServer()
             stack.callback(server.close)
-            port = SerialPort(server.address, baudrate=19200)
+            port = SerialPort(server.address, LineSettings(19200))
             stack.callback(port.close)
             return server, port
 

@@ -17,7 +17,7 @@ from bench.extras.certificate.certificate_folder import (
     require_libraries,
 )
 from bench.extras.certificate.issue import Issued, Issuer, finished_before, make_certificate
-from bench.extras.certificate.lab_config import read_lab
+from bench.extras.certificate.lab_config import LabConfig
 from bench.extras.certificate.sealed_run import Source, written_with
 from bench.extras.certificate.series import (
     numbers,
@@ -30,6 +30,7 @@ from bench.record.storage import (
     storage_errors,
 )
 from bench.record.stored_run import results_of
+from sequences.reader import read_document
 from sequences.tree import path_text
 
 ABSENT = "absent"
@@ -51,7 +52,7 @@ def amend(
     if finished := finished_before(folder, laboratory.ledger):
         return finished
     refuse_occupied(folder)
-    lab = read_lab(lab_file)
+    lab = read_document(lab_file, LabConfig)
     before, source = _read_certificate(old, laboratory.verify(old))
     refuse_old(numbers(laboratory.ledger.entries()), before.number)
     with storage_errors(old):

@@ -16,7 +16,7 @@ from bench.extras.certificate.certificate_folder import LAB, PLOTS, certificate_
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import FURTHER, Identity, compose
 from bench.extras.certificate.dcc_xml import SIGNATURE
-from bench.extras.certificate.lab_config import LabConfig, lab_of
+from bench.extras.certificate.lab_config import LabConfig
 from bench.extras.certificate.limits import passes_over_fail
 from bench.extras.certificate.sealed_run import is_statement, other_writer, stated_run
 from bench.extras.certificate.series import SIMULATED, Numbered, is_number_format, number_pattern, numbers
@@ -25,7 +25,7 @@ from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, SEQUENCE_COP
 from bench.record.storage import read_bounded, sha256_of
 from bench.record.stored_run import results_of
 from sequences.errors import DocumentFaults
-from sequences.reader import Located
+from sequences.reader import Located, check_document
 
 _FILES = frozenset({CERTIFICATE, RESULTS, LAB, DCC, PDF, "VERIFY.txt"})
 _KIND = "certificate"
@@ -80,7 +80,7 @@ def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
         findings.fault(_KIND, RESULTS, "these are not the results that the certificate names")
     content = results_of(results, folder / RESULTS)
     try:
-        lab = lab_of(read_bounded(folder / LAB), LAB)
+        lab = check_document(read_bounded(folder / LAB), LAB, LabConfig)
     except DocumentFaults as error:
         findings.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
         return

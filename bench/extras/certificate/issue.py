@@ -28,7 +28,7 @@ from bench.extras.certificate.certificate_folder import (
 )
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import Identity, compose, further_statement
-from bench.extras.certificate.lab_config import LabConfig, read_lab
+from bench.extras.certificate.lab_config import LabConfig
 from bench.extras.certificate.limits import needed_reason
 from bench.extras.certificate.sealed_run import Source, Verify, read_sealed_run
 from bench.extras.certificate.series import (
@@ -51,7 +51,7 @@ from bench.record.storage import (
     storage_errors,
 )
 from sequences.errors import DocumentFaults
-from sequences.reader import Located
+from sequences.reader import Located, read_document
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def issue(
     if finished := finished_before(folder, laboratory.ledger):
         return finished
     refuse_occupied(folder)
-    lab = read_lab(lab_file)
+    lab = read_document(lab_file, LabConfig)
     _refuse_second_early(run, laboratory.ledger, also)
     source = read_sealed_run(run, laboratory.verify)
     return make_certificate(

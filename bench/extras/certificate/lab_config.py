@@ -27,7 +27,6 @@ from pydantic import (
 from bench.extras.certificate.series import is_number_format
 from bench.stations.station_budget import Date
 from bench.stations.station_fields import Serial
-from sequences.reader import Located, check_document, read_document
 from sequences.schema import RuleConfig
 from sequences.strict_model import Form, StrictModel
 from sequences.wording import MESSAGES
@@ -360,13 +359,3 @@ class LabConfig(StrictModel):
                 " (ISO/IEC 17025, 7.8.4.3), or leave it out."
             )
         return self
-
-
-def read_lab(path: Path | str) -> Located[LabConfig]:
-    """Read a file lab.yaml."""
-    return read_document(path, LabConfig)
-
-
-def lab_of(data: bytes, file: str = "lab.yaml") -> Located[LabConfig]:
-    """Read the bytes of a lab.yaml as `read_lab` does, such as those in the folder of a certificate."""
-    return check_document(data, file, LabConfig)

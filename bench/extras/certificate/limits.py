@@ -9,18 +9,17 @@ from bench.base.errors import EvidenceError
 from bench.extras.certificate.certificate_data import Conformity
 from bench.extras.certificate.lab_config import LabConfig, LabRuleConfig
 from bench.record.results import LimitStatement, Results
+from bench.record.run_verdict import Limits
 from bench.wording.conformity import conformity_headline, conformity_sentences
 
 _PASSES = frozenset({"pass", "conditionalPass"})
-Limits = tuple[str, float | None, float | None]
-"""A result, its lower and its upper limit."""
 
 
 def rules_of(results: Results, lab: LabConfig) -> list[LabRuleConfig]:
     """Return the laboratory's limits for conformity, then those of the run that it does not state itself."""
     own = list(lab.decision_rules or ())
-    stated = {_limits_of(statement) for statement in own}
-    return own + [rule for rule in _rules_of_run(results) if _limits_of(rule) not in stated]
+    stated = {limits_of(statement) for statement in own}
+    return own + [rule for rule in _rules_of_run(results) if limits_of(rule) not in stated]
 
 
 def _rules_of_run(results: Results) -> Iterator[LabRuleConfig]:
@@ -42,8 +41,9 @@ def _statements(results: Results) -> list[LimitStatement]:
     return list(judged.statements) if judged else []
 
 
-def _limits_of(rule: LabRuleConfig) -> Limits:
-    return rule.result, rule.lower, rule.upper
+def limits_of(stated: LabRuleConfig | LimitStatement) -> Limits:
+    """Return a result with its limits, as the laboratory or the run states them."""
+    return stated.result, stated.lower, stated.upper
 
 
 def limits_of_others(results: Results) -> list[str]:
@@ -72,12 +72,12 @@ def passes_over_fail(results: Results, lab: LabConfig, conformity: tuple[Conform
     judged = results.get("conformity")
     if judged is None or judged.passed:
         return []
-    of_run = {_limits_of(rule) for rule in _rules_of_run(results)}
+    of_run = {limits_of(rule) for rule in _rules_of_run(results)}
     own = zip(lab.decision_rules or (), conformity, strict=False)  # those of the run follow
     return [
         statement.symbol
         for rule, statement in own
-        if statement.verdict in _PASSES and _limits_of(rule) not in of_run
+        if statement.verdict in _PASSES and limits_of(rule) not in of_run
     ]
 
 

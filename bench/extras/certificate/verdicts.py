@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from bench.extras.certificate.lab_config import LabConfig
+from bench.extras.certificate.limits import limits_of
 from bench.record.ledger_marks import LedgerRun
 from bench.record.results import Results
 from bench.record.run_verdict import Limits, hashes_of, run_verdict
@@ -35,7 +36,7 @@ def _cameras_of(run: LedgerRun) -> set[str]:
 def _of_lab(lab: LabConfig) -> dict[str, list[Limits]]:
     limits: dict[str, list[Limits]] = {}
     for rule in lab.decision_rules or ():
-        limits.setdefault(rule.specification, []).append((rule.result, rule.lower, rule.upper))
+        limits.setdefault(rule.specification, []).append(limits_of(rule))
     return limits
 
 
@@ -59,15 +60,8 @@ def _words(run: LedgerRun, here: Sequence[Mapping[str, str]]) -> str:
 def _when(of_lab: Mapping[str, Sequence[Limits]], results: Results) -> str:
     """Return when the limits of the certificate were stated; empty if it has none."""
     judged = results.get("conformity")
-    before = {
-        (statement.result, statement.lower, statement.upper)
-        for statement in (judged.statements if judged else ())
-    }
-    after = {limits for of in of_lab.values() for limits in of} - before
-    if after:
-        return (
-            "The limits of this certificate were stated after the run."
-            if not before
-            else ("Limits of this certificate were stated after the run.")
-        )
+    before = {limits_of(statement) for statement in (judged.statements if judged else ())}
+    if {limits for of in of_lab.values() for limits in of} - before:
+        which = "Limits" if before else "The limits"
+        return f"{which} of this certificate were stated after the run."
     return "The limits of this certificate were stated before the run." if before else ""

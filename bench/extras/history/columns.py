@@ -28,14 +28,6 @@ Cell = str | float | bool | datetime | list[str] | None
 """A value of the table; None if it is not known."""
 Row = Mapping[str, Cell]
 """A run, by column."""
-_JSON_TYPES: Mapping[Kind, dict[str, object]] = {
-    "text": {"type": ["string", "null"]},
-    "texts": {"type": "array", "items": {"type": "string"}},
-    "integer": {"type": ["integer", "null"]},
-    "number": {"type": ["number", "null"]},
-    "truth": {"type": ["boolean", "null"]},
-    "moment": {"type": ["string", "null"], "format": "date-time"},
-}
 
 
 class Column(NamedTuple):
@@ -172,7 +164,7 @@ def json_schema() -> dict[str, object]:
         "title": SCHEMA,
         "type": "object",
         "properties": {
-            column.name: _JSON_TYPES[column.kind]
+            column.name: _KINDS[column.kind][0]
             | {"description": column.meaning}
             | ({"unit": column.unit} if column.unit else {})
             for column in COLUMNS
@@ -227,11 +219,11 @@ def _finite(value: object) -> float | None:
     return float(value) if usable else None  # type: ignore[arg-type]
 
 
-def _fitted(value: object, kind: str) -> Cell:
+def _fitted(value: object, kind: Kind) -> Cell:
     """Return a value as its column holds it; None if it is not of that kind."""
     if value is None:
         return [] if kind == "texts" else None
-    return _FITTED[kind](value)
+    return _KINDS[kind][1](value)
 
 
 def _whole(value: object) -> int | None:
@@ -247,11 +239,20 @@ def _moment(text: object) -> datetime | None:
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
 
 
-_FITTED: Mapping[str, Callable[[object], Cell]] = {
-    "number": _finite,
-    "integer": _whole,
-    "truth": lambda value: value if isinstance(value, bool) else None,
-    "moment": _moment,
-    "texts": lambda value: [str(text) for text in value] if isinstance(value, list) else [],
-    "text": str,
+def _truth(value: object) -> bool | None:
+    return value if isinstance(value, bool) else None
+
+
+def _texts(value: object) -> list[str]:
+    return [str(text) for text in value] if isinstance(value, list) else []
+
+
+_KINDS: Mapping[Kind, tuple[dict[str, object], Callable[[object], Cell]]] = {
+    "text": ({"type": ["string", "null"]}, str),
+    "texts": ({"type": "array", "items": {"type": "string"}}, _texts),
+    "integer": ({"type": ["integer", "null"]}, _whole),
+    "number": ({"type": ["number", "null"]}, _finite),
+    "truth": ({"type": ["boolean", "null"]}, _truth),
+    "moment": ({"type": ["string", "null"], "format": "date-time"}, _moment),
 }
+"""Type in the JSON Schema of each kind, and what makes a value fit it."""

@@ -11,8 +11,9 @@ from sealed_bench import sample_results
 
 from bench.extras.certificate.clauses import faults_of_lab, unanswered
 from bench.extras.certificate.compose import compose
-from bench.extras.certificate.lab_config import EXAMPLE, LabConfig, read_lab
+from bench.extras.certificate.lab_config import EXAMPLE, LabConfig
 from sequences.errors import DocumentFaults
+from sequences.reader import read_document
 
 NUMBERS = 'numbers: {format: "SB-{year}-{number:05d}"}'
 NOTHING = "format: starbench/lab/1\n"
@@ -52,7 +53,7 @@ def test_a_reference_without_number_date_or_issuer_is_named():
 
 def test_the_example_has_every_section_and_names_every_placeholder():
     with pytest.raises(DocumentFaults) as refused:
-        read_lab(EXAMPLE)
+        read_document(EXAMPLE, LabConfig)
     lines = [str(fault) for fault in refused.value.faults]
     assert len(lines) == EXAMPLE.read_text(encoding="utf-8").split("laboratory:", 1)[1].count("REPLACE")
     assert all("REPLACE" in line or "replace this placeholder" in line for line in lines)

@@ -17,8 +17,9 @@ from bench.extras.certificate.certificate_data import (
 )
 from bench.extras.certificate.compose import Identity, compose
 from bench.extras.certificate.dcc import render_dcc
-from bench.extras.certificate.lab_config import lab_of
+from bench.extras.certificate.lab_config import LabConfig
 from bench.extras.certificate.sealed_run import stated_run
+from sequences.reader import check_document
 
 ISSUED = "2026-11-21T08:30:00Z"
 KEY = "SHA256:" + "A" * 43
@@ -69,7 +70,7 @@ authorised_by: {{name: Dr. Grace Hopper, role: Head of laboratory, key: "{KEY}"}
 
 def sample_lab(text=LAB):
     """The sample's lab.yaml, with the place of each value."""
-    return lab_of(text.encode())
+    return check_document(text.encode(), "lab.yaml", LabConfig)
 
 
 def identity(**facts):

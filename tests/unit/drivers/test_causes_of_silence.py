@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import DriverError, PortLost, ReplyGarbled, ReplyTimeout
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
-from drivers.serial_port import SerialPort
+from drivers.serial_port import LineSettings, SerialPort
 from drivers.stage.thorlabs_controller import ThorlabsController
 from drivers.stage.thorlabs_messages import INFORMATION_LAYOUT, size
 from drivers.stage.zaber import ZaberStage
@@ -193,7 +193,7 @@ def test_power_is_doubted_only_where_nothing_came_another_program_on_a_network(a
 )
 def test_a_connection_that_is_closed_at_once_is_that_of_another_program(said, words) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        port = SerialPort(f"socket://127.0.0.1:{server.getsockname()[1]}", baudrate=9600)
+        port = SerialPort(f"socket://127.0.0.1:{server.getsockname()[1]}", LineSettings(9600))
         line, _ = server.accept()
         line.sendall(said)
         line.close()

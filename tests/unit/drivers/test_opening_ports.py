@@ -67,7 +67,7 @@ def test_no_flow_control_is_on_whatever_the_system(monkeypatch, system, leaves_d
     recorder = Recorder()
     monkeypatch.setattr(serial_port, "SYSTEM", system)
     monkeypatch.setattr(serial_port.serial, "serial_for_url", recorder)
-    SerialPort("COM3", baudrate=9600)
+    SerialPort("COM3", LineSettings(9600))
     assert bool(recorder.settings.get("dsrdtr")) == leaves_dtr_alone
     assert not recorder.settings.get("rtscts")
     assert not recorder.settings.get("xonxoff")
@@ -99,14 +99,14 @@ def test_the_line_is_the_maker_s_unless_the_station_says_otherwise(monkeypatch, 
     section = TypeAdapter(StageConfig).validate_python(keys)
     opened = []
 
-    def record(_address: str, **settings: object) -> None:
+    def record(_address: str, settings: LineSettings) -> None:
         opened.append(settings)
         raise PortNotFound("enough.")
 
     monkeypatch.setattr(serial_port, "SerialPort", record)
     with pytest.raises(PortNotFound):
         section.open_device(str, clock=SystemClock(), wire_log=None)
-    assert opened == [LineSettings(*settings)._asdict()]
+    assert opened == [LineSettings(*settings)]
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_data_bits_parity_and_stop_bits_are_those_of_the_frame(monkeypatch, fram
     """A 33120A has 2 stop bits, an SMC100 holds the sender by XON and XOFF, older instruments have 7 data bits."""
     recorder = Recorder()
     monkeypatch.setattr(serial_port.serial, "serial_for_url", recorder)
-    SerialPort("COM3", baudrate=9600, frame=frame, xonxoff=True)
+    SerialPort("COM3", LineSettings(9600, frame=frame, xonxoff=True))
     assert tuple(recorder.settings[name] for name in ("bytesize", "parity", "stopbits")) == settings
     assert recorder.settings["xonxoff"]
 
@@ -129,7 +129,7 @@ def test_a_device_that_holds_the_line_is_told_and_gets_nothing_later(terminal, m
     def hold(self: serial.Serial, data: bytes) -> int:
         raise serial.SerialTimeoutException("Write timeout")
 
-    port = SerialPort(terminal, baudrate=19_200, rtscts=rtscts)
+    port = SerialPort(terminal, LineSettings(19_200, rtscts))
     monkeypatch.setattr(serial.Serial, "write", hold)
     monkeypatch.setattr(serial.Serial, "reset_output_buffer", lambda _self: thrown.append(True))
     with pytest.raises(PortLost, match=cause) as caught:
@@ -148,7 +148,7 @@ def test_a_computer_that_slept_while_it_sent_has_lost_no_port(terminal, monkeypa
         monkeypatch.setattr(time, "monotonic", lambda: now() + 14.0)
         raise serial.SerialTimeoutException("Write timeout")
 
-    port = SerialPort(terminal, baudrate=19_200)
+    port = SerialPort(terminal, LineSettings(19_200))
     with monkeypatch.context() as meanwhile:
         meanwhile.setattr(serial.Serial, "write", sleep_in_between)
         port.write(b"1PA5\r")
@@ -165,9 +165,9 @@ def test_a_baud_rate_that_the_port_cannot_do_leaves_it_closed(terminal, monkeypa
     with monkeypatch.context() as meanwhile:
         meanwhile.setattr(serial.Serial, "_reconfigure_port", refuse)
         with pytest.raises(PortError) as caught:
-            SerialPort(terminal, baudrate=123_457)
+            SerialPort(terminal, LineSettings(123_457))
     assert "baud rate" in caught.value.remedy
-    SerialPort(terminal, baudrate=9600).close()  # nobody holds it
+    SerialPort(terminal, LineSettings(9600)).close()  # nobody holds it
 
 
 def test_a_folder_that_knows_no_locks_is_not_called_busy(tmp_path, monkeypatch) -> None:
@@ -229,7 +229,7 @@ def test_a_url_that_reaches_no_device_server_is_refused_before_pyserial_sees_it(
     victim = tmp_path / "victim.txt"
     victim.write_text("keep me")
     with pytest.raises(PortNotFound, match=f"of the kind {kind}://") as caught:
-        SerialPort(f"{kind}:///dev/null?file={victim}", baudrate=9600)
+        SerialPort(f"{kind}:///dev/null?file={victim}", LineSettings(9600))
     assert "rfc2217://" in caught.value.remedy
     assert victim.read_text() == "keep me"
 
@@ -376,5 +376,5 @@ def test_a_camera_that_gave_usb_no_serial_number_has_none(dev, system, tmp_path)
 
 def test_a_file_that_is_no_terminal_is_named_without_words_of_a_library():
     with pytest.raises(PortNotFound, match=r"/dev/null") as caught:
-        SerialPort("/dev/null", baudrate=115_200)
+        SerialPort("/dev/null", LineSettings(115_200))
     assert "ioctl" not in str(caught.value)

@@ -1,6 +1,7 @@
 """The two loops of every protocol: a request repeated after a bad reply, a line brought back into step."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,10 +13,8 @@ from tests.unit.drivers.conftest import CountedLink
 class Line(CountedLink):
     """A line whose old bytes are given, one drain after the other; keeps what happens to it."""
 
-    name = "port"
-
     def __init__(self, *old: bytes) -> None:
-        super().__init__(None, None)
+        super().__init__(SimpleNamespace(name="port"), None)
         self.old = list(old)
         self.events: list[str] = []
 

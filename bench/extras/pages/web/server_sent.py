@@ -37,21 +37,17 @@ class Message:
     event: str = "message"  # Name of the event; a page listens for it
     id: str = ""  # Id; empty if a reader that reconnects need not name this message
 
-    def encoded(self) -> bytes:
-        r"""Return the bytes of the message, UTF-8, with the empty line that ends it.
-
-        >>> Message("a\nb", "state", "7").encoded()
-        b'id: 7\nevent: state\ndata: a\ndata: b\n\n'
-        """
-        return _encoded(self.data, self.event, self.id)
-
 
 @lru_cache(maxsize=32)
-def _encoded(data: str, event: str, number: str) -> bytes:
-    """Return the bytes of a message; the pages that get the same one share them."""
-    lines = [f"id: {number}"] if number else []
-    lines += [f"event: {event}"] if event != "message" else []
-    lines += [f"data: {line}" for line in data.replace("\r\n", "\n").replace("\r", "\n").split("\n")]
+def encoded(message: Message) -> bytes:
+    r"""Return the bytes of a message, UTF-8, with the empty line that ends it; pages that get the same one share them.
+
+    >>> encoded(Message("a\nb", "state", "7"))
+    b'id: 7\nevent: state\ndata: a\ndata: b\n\n'
+    """
+    lines = [f"id: {message.id}"] if message.id else []
+    lines += [f"event: {message.event}"] if message.event != "message" else []
+    lines += [f"data: {line}" for line in message.data.replace("\r\n", "\n").replace("\r", "\n").split("\n")]
     return ("\n".join(lines) + "\n\n").encode()
 
 
@@ -93,7 +89,7 @@ class EventStream:
                 message = following.result()
                 if message is None:
                     break
-                await _send_part(send, message.encoded())
+                await _send_part(send, encoded(message))
                 following = asyncio.ensure_future(_next(self._messages))
         finally:
             await _cancelled({*ends, following})

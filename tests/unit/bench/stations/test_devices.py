@@ -36,14 +36,12 @@ def station_with(section: str) -> Station:
     return station_of(f"{EXAMPLE[:begin]}\n{section}{EXAMPLE[after:]}")
 
 
-AS_MADE = {"rtscts": None, "frame": None, "xonxoff": None}
-
 DEVICES = [
     (
         f"stage: {{driver: zaber_ascii, port: /dev/a, axes: {{pan: {{device: 2, axis: 1, serial: 07, microsteps_per_deg: -6400, {MOTION}}}}}}}",
         ZaberStage,
         ("/dev/a", [ZaberAxis(name="pan", device=2, serial="07", microsteps_per_deg=-6400, limits=LIMITS, tolerance_deg=0.01)]),
-        {"baudrate": 115_200, **AS_MADE},
+        {"line": {"baudrate": 115_200}},
     ),
     (
         f"stage: {{driver: ximc, axes: {{tilt: {{port: /dev/b, serial: 0042, steps_per_deg: 100, zero_deg: 3, {MOTION}}}}}}}",
@@ -55,25 +53,25 @@ DEVICES = [
         f"stage: {{driver: esp30x, port: /dev/c, axes: {{roll: {{number: 3, serial: SN1, direction: -1, {MOTION}}}}}}}",
         EspStage,
         ("/dev/c", [EspAxis(name="roll", number=3, serial="SN1", direction=-1, limits=LIMITS, tolerance_deg=0.01)]),
-        {"baudrate": 19_200, **AS_MADE},
+        {"line": {"baudrate": 19_200}},
     ),
     (
         f"stage: {{driver: grbl, port: /dev/d, serial: gimbal, settings: {{$3: 2, $150: 16}}, axes: {{pan: {{letter: A, steps_per_deg: 80, zero_deg: 10, {MOTION}}}}}}}",
         GrblStage,
         ("/dev/d", [GrblAxis(name="pan", letter="A", steps_per_deg=80, zero_deg=10, limits=LIMITS, tolerance_deg=0.01)]),
-        {"serial": "gimbal", "settings": {"$3": 2, "$150": 16}, "baudrate": 115_200, **AS_MADE},
+        {"serial": "gimbal", "settings": {"$3": 2, "$150": 16}, "line": {"baudrate": 115_200}},
     ),
     (
         "light: {driver: scpi, port: /dev/e, dialect: siglent, load: 50-ohm, serial: 09}",
         ScpiLight,
         ("/dev/e",),
-        {"serial": "09", "baudrate": 9600, **AS_MADE, "load": "50-ohm", "dialect": "siglent"},
+        {"serial": "09", "line": {"baudrate": 9600}, "load": "50-ohm", "dialect": "siglent"},
     ),
     (
         "light: {driver: gardasoft, port: /dev/f, model: RT420F-20, channel: 3, sync_channel: 4, full_percent: 50}",
         GardasoftLight,
         ("/dev/f",),
-        {"model": "RT420F-20", "channel": 3, "sync_channel": 4, "full_percent": 50, "sync_percent": 100, "baudrate": 115_200, **AS_MADE},
+        {"model": "RT420F-20", "channel": 3, "sync_channel": 4, "full_percent": 50, "sync_percent": 100, "line": {"baudrate": 115_200}},
     ),
     ("camera: {driver: neuromorphic_evk4, serial: 0005}", NeuromorphicEvk4, (), {"serial": "0005"}),
     (

@@ -225,7 +225,7 @@ def test_a_board_is_asked_only_if_the_operator_agrees(capsys, tmp_path, monkeypa
     """Otherwise no port is opened, not even to look for the light."""
     opened = []
     monkeypatch.setattr(
-        "bench.stations.asked_devices.SerialPort", lambda port, **_: opened.append(port) or io.BytesIO()
+        "bench.stations.asked_devices.SerialPort", lambda port, _: opened.append(port) or io.BytesIO()
     )
     monkeypatch.setattr("bench.commands.station.may_restart", lambda _: agrees)
     monkeypatch.setattr("bench.stations.asked_devices.GrblController", refused_link)
