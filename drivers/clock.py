@@ -15,11 +15,9 @@ class Clock(Protocol):
 
     def monotonic(self) -> float:
         """Return the time since a fixed moment, s; it never goes back."""
-        ...
 
     def sleep(self, seconds: float) -> None:
         """Wait, in seconds; the owner of the clock may interrupt the wait by an exception of its own."""
-        ...
 
 
 class SystemClock:

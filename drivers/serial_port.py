@@ -81,19 +81,15 @@ class Port(Protocol):
     @property
     def name(self) -> str:
         """The name it was opened by."""
-        ...
 
     def read(self, timeout_s: float) -> bytes:
         """Wait up to ``timeout_s`` for the first byte; return all that have arrived, empty if there are none."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
-        ...
 
     def close(self) -> None:
         """Close the port. A second call does nothing."""
-        ...
 
 
 class SerialPort:

@@ -26,7 +26,6 @@ class WireLog(Protocol):
 
         This never raises, because a full disk must not keep a stop from being sent.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ class VirtualDevices(Devices):
     """A station's virtual stage, light and camera; a station of real devices is rehearsed by ``expected``."""
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
-        self._simulation = None
+        self.simulation = None
         self._clock = clock
         self._world = make_rehearsed_world(_configuration(station), seed)
         self.stage = VirtualStage({name: axis.limits for name, axis in station.axes.items()}, clock)

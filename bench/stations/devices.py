@@ -40,10 +40,11 @@ class Devices:
     def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
         self._clock = clock
         self._station = station
-        self._simulation: SimulatedBench | None = None
+        self.simulation: SimulatedBench | None = None
+        """The simulated bench; None on a real one. Only a person's hands use it: no run and no estimate may."""
         with ExitStack() as opened, self._left_safe():
             if station.needs_simulated_bench:
-                self._simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
+                self.simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
             opened.enter_context(hold_devices(serial_devices(station)))
             self.stage = open_stage(station, self._port, clock, wire_log)
             opened.callback(self.stage.close)
@@ -55,14 +56,9 @@ class Devices:
 
     def truth(self) -> dict[str, Any] | None:
         """Read what is true of views of the simulated bench, for the final comparison only; None for other views."""
-        if self._simulation is None or not self._station.sees_simulated_bench:
+        if self.simulation is None or not self._station.sees_simulated_bench:
             return None
-        return self._simulation.truth()
-
-    @property
-    def simulation(self) -> SimulatedBench | None:
-        """The simulated bench; None on a real one. Only a person's hands use it: no run and no estimate may."""
-        return self._simulation
+        return self.simulation.truth()
 
     def make_safe(self) -> list[str]:
         """Stop stage, light and camera, each even if another one fails; a sentence for each not confirmed."""
@@ -70,7 +66,7 @@ class Devices:
 
     def make_each_safe(self) -> list[DeviceEnd]:
         """Stop stage, light and camera, each even if another one fails; what each one answered, if it was open."""
-        if self._simulation is not None and not self._simulation.alive:
+        if self.simulation is not None and not self.simulation.alive:
             return lost_ends(
                 "the simulated bench has ended unexpectedly; no simulated device is left to make safe"
             )
@@ -108,10 +104,10 @@ class Devices:
         """Return the system's name of a port; a port of the simulated bench is looked up there."""
         if not name.startswith(SIMULATED_PREFIX):
             return name
-        assert self._simulation is not None
-        endpoint = self._simulation.endpoints.get(name.removeprefix(SIMULATED_PREFIX))
+        assert self.simulation is not None
+        endpoint = self.simulation.endpoints.get(name.removeprefix(SIMULATED_PREFIX))
         if endpoint is None:
-            known = ", ".join(SIMULATED_PREFIX + e for e in self._simulation.endpoints)
+            known = ", ".join(SIMULATED_PREFIX + e for e in self.simulation.endpoints)
             raise SimulationError(f"The simulated bench has no {name}.", remedy=f"It has {known}.")
         return endpoint
 

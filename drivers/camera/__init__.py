@@ -144,7 +144,6 @@ class EventCamera(Protocol):
         WrongDevice
             If the serial number differs from the one given when the camera was opened.
         """
-        ...
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set biases, region of interest and trigger input, and switch off AFK, STC, TRAIL and ERC.
@@ -166,7 +165,6 @@ class EventCamera(Protocol):
         CameraSettingRefused
             If the camera does not accept a setting, or another value is read back.
         """
-        ...
 
     def filters(self) -> Mapping[str, bool]:
         """Read which on-chip filters are on.
@@ -176,7 +174,6 @@ class EventCamera(Protocol):
         Mapping of str to bool
             The filters that the camera has by name, and whether each is on.
         """
-        ...
 
     def temperature_c(self) -> float | None:
         """Measure the temperature of the sensor.
@@ -186,7 +183,6 @@ class EventCamera(Protocol):
         float or None
             Temperature, deg C; None if the camera cannot measure it.
         """
-        ...
 
     def record(self, path: Path, duration_s: float) -> RecordingFacts:
         """Record into a new RAW file: header and the camera's own bytes, synced to disk.
@@ -213,15 +209,12 @@ class EventCamera(Protocol):
         CameraLost
             If the camera goes away meanwhile; what was recorded before is kept.
         """
-        ...
 
     def stop(self) -> None:
         """End a recording early, if there is one. Callable from any thread."""
-        ...
 
     def close(self) -> None:
         """Release the camera."""
-        ...
 
 
 @runtime_checkable
@@ -248,7 +241,6 @@ class PreviewCamera(Protocol):
         RecordingFailed, CameraLost
             As `EventCamera.record`.
         """
-        ...
 
 
 @runtime_checkable
@@ -263,4 +255,3 @@ class StatesBiasRanges(Protocol):
         Mapping[str, tuple[int, int]]
             Range by name, in the camera's own steps.
         """
-        ...

@@ -193,7 +193,6 @@ class FrameCamera(Protocol):
         WrongDevice
             If the serial number differs from the one given when the camera was opened.
         """
-        ...
 
     def apply(self, settings: FrameSettings) -> FrameSettings:
         """Set exposure and gain, and switch autofocus off.
@@ -213,7 +212,6 @@ class FrameCamera(Protocol):
         CameraSettingRefused
             If the camera does not accept a setting, or its autofocus stays on.
         """
-        ...
 
     def capture(self, path: Path, frames: int) -> FrameFacts:
         """Take frames into a new TIFF, one a page, synced to disk.
@@ -239,15 +237,12 @@ class FrameCamera(Protocol):
         CameraLost
             If the camera sends no frame.
         """
-        ...
 
     def stop(self) -> None:
         """End a capture after the present frame. Callable from any thread."""
-        ...
 
     def close(self) -> None:
         """Release the camera."""
-        ...
 
 
 def to_grey(image: NDArray[Any], *, where: str) -> Frame:

@@ -44,15 +44,12 @@ class WordSource(Protocol):
 
     def start(self) -> None:
         """Start the stream."""
-        ...
 
     def next_words(self) -> bytes | None:
         """Wait for the next whole words, some 10 ms at most: None if none came, empty if the stream has ended."""
-        ...
 
     def stop(self, *, hurry: bool) -> None:
         """Stop the stream, without passing the clock; with ``hurry``, when something else failed already, quickly."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,6 @@ class Light(Protocol):
         WrongDevice
             The identity is not the one in the station file.
         """
-        ...
 
     def apply(self, settings: LightSettings) -> LightSettings:
         """Send all settings and read them back.
@@ -94,7 +93,6 @@ class Light(Protocol):
         SettingRefused
             The device refuses a setting, or a value reads back differently.
         """
-        ...
 
     def read(self) -> LightSettings:
         """Ask the device for its present settings.
@@ -104,7 +102,6 @@ class Light(Protocol):
         LightSettings
             The settings that the device reports.
         """
-        ...
 
     def on(self) -> None:
         """Switch the output on, and check that it is on.
@@ -114,7 +111,6 @@ class Light(Protocol):
         LightFault
             The output stays off.
         """
-        ...
 
     def off(self) -> None:
         """Switch the output off, and check that it is off.
@@ -124,7 +120,6 @@ class Light(Protocol):
         LightFault
             The output stays on.
         """
-        ...
 
     def is_on(self) -> bool:
         """Ask the device whether the output is on.
@@ -134,7 +129,6 @@ class Light(Protocol):
         bool
             Whether it is.
         """
-        ...
 
     def faults(self) -> Sequence[str]:
         """Ask the device for its faults.
@@ -144,11 +138,9 @@ class Light(Protocol):
         sequence of str
             One sentence a fault; empty without faults.
         """
-        ...
 
     def close(self) -> None:
         """Close the port. This switches nothing."""
-        ...
 
 
 @runtime_checkable
@@ -163,4 +155,3 @@ class StatesSyncPolarity(Protocol):
         str
             "normal", or that the device does not state it.
         """
-        ...

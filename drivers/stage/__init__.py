@@ -60,12 +60,10 @@ class Stage(Protocol):
     @property
     def axes(self) -> Sequence[str]:
         """Names of the axes ("pan", "tilt", "roll"), in the order of the station file."""
-        ...
 
     @property
     def limits(self) -> Mapping[str, AxisLimits]:
         """Soft limits, by axis."""
-        ...
 
     def identify(self) -> Sequence[AxisIdentity]:
         """Ask every axis for its identity.
@@ -80,7 +78,6 @@ class Stage(Protocol):
         WrongDevice
             A serial number is not the one in the station file.
         """
-        ...
 
     def is_homed(self) -> bool:
         """Ask whether every axis has a reference.
@@ -90,7 +87,6 @@ class Stage(Protocol):
         bool
             False also when a move has ended at an unknown position since the last homing.
         """
-        ...
 
     def home(self) -> None:
         """Search the reference of every axis, and wait for the end of it.
@@ -102,7 +98,6 @@ class Stage(Protocol):
         MoveFailed, MoveTimeout
             The search failed, or had not ended by its deadline; all axes were stopped.
         """
-        ...
 
     def move_to(self, target_deg: Mapping[str, float]) -> None:
         """Move axes to absolute angles, and wait until they have arrived.
@@ -122,7 +117,6 @@ class Stage(Protocol):
         MoveFailed, MoveTimeout
             An axis did not arrive; all axes were stopped.
         """
-        ...
 
     def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
         """Return the expected time of a move, from the speeds and accelerations of the axes.
@@ -137,7 +131,6 @@ class Stage(Protocol):
         float
             Time, in seconds.
         """
-        ...
 
     def position_deg(self) -> Mapping[str, float]:
         """Read the position counters.
@@ -147,7 +140,6 @@ class Stage(Protocol):
         mapping
             Position by axis, in degrees.
         """
-        ...
 
     def encoder_deg(self) -> Mapping[str, float]:
         """Read the encoders.
@@ -157,7 +149,6 @@ class Stage(Protocol):
         mapping
             Encoder reading by axis, in degrees; only of axes that have an encoder.
         """
-        ...
 
     def faults(self) -> Sequence[str]:
         """Ask for present faults and warnings.
@@ -167,12 +158,9 @@ class Stage(Protocol):
         sequence of str
             One sentence a fault; empty without faults.
         """
-        ...
 
     def stop(self) -> None:
         """Stop all axes at once. Any thread may call this, also while another one waits in a move."""
-        ...
 
     def close(self) -> None:
         """Close the port. The stage stays where it is."""
-        ...

@@ -28,19 +28,12 @@ class PseudoTerminal:
 
     def __init__(self, link: Path) -> None:
         self.link = link
+        self.name = link.name
+        self.address = str(link)
+        """Path that a client opens."""
         self._master = -1
         self._slave = -1
         self.plug()
-
-    @property
-    def name(self) -> str:
-        """Name of the symlink."""
-        return self.link.name
-
-    @property
-    def address(self) -> str:
-        """Path that a client opens."""
-        return str(self.link)
 
     def fileno(self) -> int:
         """Return the descriptor to wait on."""

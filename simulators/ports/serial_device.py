@@ -36,15 +36,12 @@ class Dialect(Protocol):
     @property
     def baud(self) -> int:
         """Baud rate at which the device listens."""
-        ...
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive and return the answers."""
-        ...
 
     def unsolicited(self) -> bytes:
         """Return messages that the device sends without a request, and late answers."""
-        ...
 
 
 class SerialDevice:
@@ -52,17 +49,14 @@ class SerialDevice:
 
     def __init__(self, port: PseudoTerminal | TcpPort, dialect: Dialect, *, paced: bool = True) -> None:
         self._port = port
+        self.address = port.address
+        """Address that a client opens."""
         self._dialect = dialect
         self._paced = paced
         self._closing = threading.Event()
         self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._waking, self._wake = socket.socketpair()
         self._thread = threading.Thread(target=self._serve, name=f"serial {port.name}", daemon=True)
-
-    @property
-    def address(self) -> str:
-        """Address that a client opens."""
-        return self._port.address
 
     def start(self) -> Self:
         """Start the thread that answers."""

@@ -16,7 +16,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, NamedTuple, cast
+from typing import ClassVar, Literal, NamedTuple
 
 from simulators.world.trajectory import LoadTrajectory, MotorTrajectory
 
@@ -26,8 +26,6 @@ _HOMING_OVERRUN_DEG = 0.1
 FaultKind = Literal[
     "stall", "limit", "twist", "restart", "stop_short", "no_progress", "slip", "creep", "unplug", "press_stop"
 ]
-
-Noticed = Literal["stall", "limit", "twist", "restart"]
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class MotionFault:
 class MotionEvent(NamedTuple):
     """An event that the controller notices."""
 
-    kind: Noticed
+    kind: FaultKind  # "stall", "limit", "twist" or "restart"
     t_s: float  # Time of the event, s
 
 
@@ -298,7 +296,7 @@ class Axis:
             self.motor, self.commanded = self.motor.until(t_s), self.commanded.until(t_s)
             self.stuck_busy = self.stuck_busy or fault.kind == "no_progress"
             if fault.kind in {"limit", "twist", "restart"}:
-                self._event = MotionEvent(cast("Noticed", fault.kind), t_s)
+                self._event = MotionEvent(fault.kind, t_s)
 
     def _stop_at_end_stops(self) -> None:
         scale = self.mechanics.counts_per_deg
@@ -427,11 +425,16 @@ class SingleController(Controller):
         self.model = model
         self.axis = Axis(model.mechanics, clock(), publish)
         super().__init__([self.axis], clock)
+        self._deliver()
         self._power_up()
+
+    def _deliver(self) -> None:
+        """Set what survives a restart as the factory sets it; most have nothing of that kind."""
 
     def exchange(self, serial: str, t_s: float) -> None:
         """See `Unit.exchange`; serial number 0 if the given one is not a number."""
         self.model = replace(self.model, serial=serial if serial.isdigit() else "0")
+        self._deliver()
         self.restart(t_s)
 
 

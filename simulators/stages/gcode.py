@@ -26,9 +26,8 @@ _GROUPS: Final = {
 class GcodeError(Exception):
     """A refused block, with an error number of GRBL 1.1."""
 
-    def __init__(self, number: int) -> None:
-        self.number = number
-        super().__init__(f"error:{number}")
+    def __str__(self) -> str:
+        return f"error:{self.args[0]}"
 
 
 @dataclass(frozen=True)

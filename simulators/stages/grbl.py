@@ -91,7 +91,9 @@ class GrblController(Unit):
         self._factory = factory_settings(models, pull_off_deg)
         self.settings = dict(self._factory)
         self._planner = Planner(models, self.settings, clock(), publish)
-        super().__init__(self._planner.axes.values(), clock())
+        self.axes: Mapping[str, Axis] = self._planner.axes
+        """Its axes, by letter."""
+        super().__init__(self.axes.values(), clock())
         self._letters = "".join(models)
         self._in_reset = False
         self._reports = 0
@@ -102,11 +104,6 @@ class GrblController(Unit):
             _RESET_BYTE: self._reset,
             0x85: self._cancel_jog,
         }
-
-    @property
-    def axes(self) -> Mapping[str, Axis]:
-        """Its axes, by letter."""
-        return self._planner.axes
 
     def _reset_state(self, state: State) -> None:
         """Set the state after a reset."""

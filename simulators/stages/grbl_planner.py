@@ -37,19 +37,8 @@ def factory_settings(models: Mapping[str, AxisModel], pull_off_deg: float) -> di
 
     Homing ends at the upper limit, ``pull_off_deg`` from the switch; the travel is from there to the lower limit.
     """
-    settings = {
-        0: 10.0,
-        1: 255.0,
-        2: 0.0,
-        3: 0.0,
-        4: 0.0,
-        5: 0.0,
-        6: 0.0,
-        10: 1.0,
-        11: 0.01,
-        12: 0.002,
-        13: 0.0,
-    }
+    settings = {0: 10.0, 1: 255.0} | dict.fromkeys(range(2, 7), 0.0)
+    settings |= {10: 1.0, 11: 0.01, 12: 0.002, 13: 0.0}
     settings |= {20: 1.0, 21: 1.0, 22: 1.0, 23: 0.0, 24: 120.0, 25: 1200.0, 26: 250.0, 27: pull_off_deg}
     settings |= {30: 1000.0, 31: 0.0, 32: 0.0}
     for number, model in enumerate(models.values()):

@@ -19,8 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, SingleController
-from simulators.world.trajectory import LoadTrajectory
+from simulators.stages.axis_motion import Axis, MotionEvent, SingleController
 
 #: Microsteps per step; positions use them in each mode of the motor.
 MICROSTEPS: Final = 256
@@ -106,18 +105,12 @@ class XimcController(SingleController):
 
     BOOT_S = 0.5
     BYTE_TIMEOUT_S = 0.4
+    _stop_pressed = False
 
-    def __init__(
-        self,
-        model: AxisModel,
-        clock: Callable[[], float],
-        publish: Callable[[LoadTrajectory], None] = lambda _pointing: None,
-    ) -> None:
-        super().__init__(model, clock, publish)
-        self._counts_per_step = _COUNTS_PER_STEP if model.encoder else 0
+    def _deliver(self) -> None:
+        self._counts_per_step = _COUNTS_PER_STEP if self.model.encoder else 0
         self.settings = self._factory_settings()
         """By the letters of `LAYOUTS`; they survive a restart."""
-        self._stop_pressed = False
         self._commands = self._known_commands()
 
     def _power_up(self) -> None:
@@ -284,11 +277,6 @@ class XimcController(SingleController):
             self.axis.halt(t_s)
             self.axis.forget_reference()
             self._flags |= _ALARM
-
-    def exchange(self, serial: str, t_s: float) -> None:
-        """See `SingleController.exchange`."""
-        super().exchange(serial, t_s)
-        self.settings = self._factory_settings()
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
         self._failed = True

@@ -227,16 +227,13 @@ class World:
         self.truth = truth if truth is not None else Truth()
         self.seed = seed
         self.camera_seed = camera_seed
-        self._clock = clock
+        self.now_s = clock
+        """Returns the world time."""
         self._on_since_s = clock()
         self._lock = threading.Lock()
         self._axes: dict[AxisName, History[AxisMotion]] = {}
         self._light = History(LightState())
         self._setup = History(setup_of(self.truth))
-
-    def now_s(self) -> float:
-        """Return the world time."""
-        return self._clock()
 
     def recording_seed(self, key: str, repeats: dict[str, int]) -> np.random.SeedSequence:
         """Return the seeds of a recording, whose content ``key`` tells; ``repeats`` counts those with the same."""

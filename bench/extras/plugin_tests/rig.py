@@ -52,7 +52,6 @@ class SimulatedDevice(Protocol):
     @property
     def baud(self) -> int:
         """Baud rate at which it listens."""
-        ...
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes as they arrive, in pieces of any size.
@@ -67,7 +66,6 @@ class SimulatedDevice(Protocol):
         bytes
             Answers that are ready now.
         """
-        ...
 
     def unsolicited(self) -> bytes:
         """Return what it sends without a request, and late answers.
@@ -77,7 +75,6 @@ class SimulatedDevice(Protocol):
         bytes
             May be empty.
         """
-        ...
 
 
 class WithAngles(Protocol):
@@ -91,7 +88,6 @@ class WithAngles(Protocol):
         mapping
             Angle by axis, in degrees.
         """
-        ...
 
 
 class SimulatedStage(SimulatedDevice, WithAngles, Protocol):
@@ -104,11 +100,9 @@ class Connected(Protocol):
     @property
     def address(self) -> str:
         """What stands for ``PORT`` in the section; empty for a device that has no port."""
-        ...
 
     def unplug(self) -> None:
         """Pull its cable, or take it off the maker's library; it stays so."""
-        ...
 
 
 class LibraryStage(Connected, WithAngles, Protocol):
@@ -126,7 +120,6 @@ class SimulatedLight(SimulatedDevice, Protocol):
         bool
             Whether it is.
         """
-        ...
 
 
 class ConnectedContract:

@@ -104,18 +104,14 @@ class Changes:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._number = 0
-        self._waiting: dict[asyncio.AbstractEventLoop, asyncio.Event] = {}
-
-    @property
-    def number(self) -> int:
+        self.number = 0
         """How often there was a change."""
-        return self._number
+        self._waiting: dict[asyncio.AbstractEventLoop, asyncio.Event] = {}
 
     def tell(self) -> None:
         """Raise the number and wake the streams. For any thread."""
         with self._lock:
-            self._number += 1
+            self.number += 1
             waiting, self._waiting = self._waiting, {}
         for loop, event in waiting.items():
             with suppress(RuntimeError):  # the loop is closed: nobody waits there any more
@@ -125,8 +121,8 @@ class Changes:
         """Wait until the number is another one."""
         while True:
             with self._lock:
-                if self._number != number:
-                    return self._number
+                if self.number != number:
+                    return self.number
                 event = self._waiting.setdefault(asyncio.get_running_loop(), asyncio.Event())
             await event.wait()
 
