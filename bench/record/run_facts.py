@@ -303,7 +303,7 @@ def _text(value: object) -> str | None:
     return None if value is None or value == "" else str(value)
 
 
-def _reported(history: History, name: Literal["temperature_c", "illumination_lux"]) -> list[float]:
+def _reported(history: History, name: str) -> list[float]:
     """Return a number that the camera reported with each accepted recording, where it did."""
     stored = [attempt.stored.get("facts", {}).get(name) for attempt in history.accepted().values()]
     return [float(t) for t in stored if isinstance(t, int | float) and math.isfinite(t)]
@@ -313,6 +313,6 @@ def _mean(known: Sequence[float]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _total(accepted: Sequence[Attempt], name: Literal["events", "bytes"]) -> int | None:
+def _total(accepted: Sequence[Attempt], name: str) -> int | None:
     known = [attempt.stored.get("facts", {}).get(name) for attempt in accepted]
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
