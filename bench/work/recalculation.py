@@ -18,13 +18,9 @@ from bench.work.places import Place
 from bench.work.results_folders import ResultsFolders
 from bench.work.tasks import (
     ROW_FORMAT,
-    CalibratedData,
-    DoneRow,
-    FailedRow,
     FoundView,
     Listed,
     RunRow,
-    SkippedRow,
     Task,
     calibrate_found,
     find_view,
@@ -125,8 +121,7 @@ class Recalculation:
         if row is not None:
             self.counts.skipped += 1
             self._rows[number] = row
-            row_skipped: SkippedRow = {**row, "skipped": True}
-            self._ended(row_skipped)
+            self._ended({**row, "skipped": True})  # which the table does not state
             self._show()
             return
         name = self._folders.name_for(place.base_name, listed.key) if self._folders else place.base_name
@@ -161,9 +156,9 @@ class Recalculation:
         self._waiting.appendleft(Work(f"{run.number} fit", calibrate_found, arguments))
         run.found = {}
 
-    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: CalibratedData) -> None:
+    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: RunRow) -> None:
         name = run.name if self._folders is not None else None
-        row: DoneRow = {
+        row = {
             "schema": ROW_FORMAT,
             "folder": run.place.name,
             "state": "done",
@@ -189,7 +184,7 @@ class Recalculation:
         self._fail(run.number, run.place, end.failure, run.key)
 
     def _fail(self, number: int, place: Place, failure: Failure, key: str) -> None:
-        row: FailedRow = {
+        row = {
             "schema": ROW_FORMAT,
             "folder": place.name,
             "state": "failed",
