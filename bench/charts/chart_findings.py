@@ -24,6 +24,7 @@ from bench.charts.statistics import (
     holm,
     individuals,
 )
+from bench.record.as_data import as_data
 from bench.record.coverage import Estimate
 from bench.record.summaries import (
     ChartData,
@@ -311,12 +312,9 @@ def _chart_data(computed: _Computed, level: Level, per: str, judge: _Judge) -> C
 def _drift_data(computed: _Computed, per: str, judge: _Judge) -> DriftData:
     drift = computed.drift
     return {
+        **as_data(drift, DriftData),
         "per_day": _slope_data(drift.per_day, computed.unit, per, judge) if drift.per_day else None,
         "per_c": _slope_data(drift.per_c, computed.unit, "°C", judge) if drift.per_c else None,
-        "joint": drift.joint,
-        "separable": drift.separable,
-        "between_runs": drift.between_runs,
-        "scatter": drift.scatter,
     }
 
 

@@ -10,6 +10,7 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,23 +78,16 @@ def check_journal(folder: Path, manifest: Mapping[str, str], findings: Findings)
 
 
 def _begin_and_end(entries: Sequence[Entry], history: History, findings: Findings) -> None:
+    fault = partial(findings.fault, "journal")
     if not entries or entries[0].event != Event.RUN_STARTED:
-        findings.fault("journal", f"{JOURNAL}:1", "the first line does not begin a run (run_started)")
+        fault(f"{JOURNAL}:1", "the first line does not begin a run (run_started)")
     again = [entry for entry in entries[1:] if entry.event == Event.RUN_STARTED]
     if again:
-        findings.fault(
-            "journal", f"{JOURNAL}:{again[0].seq + 1}", "a second line begins the run (run_started)"
-        )
+        fault(f"{JOURNAL}:{again[0].seq + 1}", "a second line begins the run (run_started)")
     if not entries or entries[-1].event != Event.RUN_ENDED:
-        findings.fault(
-            "journal",
-            JOURNAL,
-            "its last line does not end the run (run_ended); a bench seals ended runs only",
-        )
+        fault(JOURNAL, "its last line does not end the run (run_ended); a bench seals ended runs only")
     elif history.ended != "finished":
-        findings.fault(
-            "journal", JOURNAL, f"the run {history.ended or 'did not end'}; a bench seals finished runs only"
-        )
+        fault(JOURNAL, f"the run {history.ended or 'did not end'}; a bench seals finished runs only")
 
 
 def _clock(entries: Sequence[Entry], findings: Findings) -> None:
