@@ -11,7 +11,7 @@ from typing import Any
 from bench.record.coverage import coverage_factor
 from bench.record.results import CalibrationData, GimbalComparison, Results
 from bench.report.run_tables import parallax_rows
-from bench.wording.numbers import NOTHING, angle, fixed, number, plus_minus, with_uncertainty
+from bench.wording.numbers import NOTHING, angle, exact, fixed, number, plus_minus, with_uncertainty
 from bench.wording.target_words import STARS, TargetWords
 from calib.model.result_parts import BudgetRow, Witness
 
@@ -112,7 +112,7 @@ def _stated(value: float, unit: str, where: str) -> str:
 
 def _short(value: float) -> str:
     """Return a stated value with up to three significant digits."""
-    return f"{value:.{_EXACT_DIGITS}g}" if 1e-3 <= abs(value) < 1e4 or value == 0 else f"{value:.2e}"
+    return exact(float(f"{value:.{_EXACT_DIGITS}g}"))
 
 
 def _length(value: float) -> str:

@@ -34,6 +34,7 @@ from bench.report.svg_plot import (
     shade,
 )
 from bench.report.svg_scale import Scale
+from bench.wording.numbers import exact, number
 from bench.wording.target_words import STARS, TargetWords, words_of
 from calib.arrays import RAYLEIGH_MEDIAN, Array
 from calib.model.result_parts import WORST_CORNER
@@ -57,7 +58,8 @@ def residual_vectors(
     """Draw the residual vector of each star at its place on the sensor, magnified by the factor that is stated."""
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
     magnification = _round_down(image_size[0] / 28 / max(float(np.percentile(lengths, 95)), 1e-6))
-    about = f"{len(lengths)} {words.points}; residuals of {np.percentile(lengths, 95):.2g} px or less for 95 % of them."
+    most = number(np.percentile(lengths, 95), 2)
+    about = f"{len(lengths)} {words.points}; residuals of {most} px or less for 95 % of them."
     longest = _FAR_SIGMAS * float(np.median(lengths)) / RAYLEIGH_MEDIAN
     keys = [*_pose_keys(views), *([Key(_FAR, MUTED)] if (lengths > longest).any() else [])]
     axes = sensor_axes(
@@ -80,7 +82,7 @@ def residual_cloud(views: Sequence[ViewPicture]) -> str:
     rms = float(np.sqrt(np.mean(lengths**2)))
     reach = 1.15 * max(float(np.percentile(lengths, _CLOUD_PERCENTILE)), 1e-6)
     words = Words(("Residuals around zero; circle: their RMS length",), "column, px", "row, px")
-    about = f"Root mean square of the length: {rms:.3g} px."
+    about = f"Root mean square of the length: {number(rms, 3)} px."
     picture = Picture(PANEL[0], 1.1 * PANEL[0], "cloud", "Residuals around zero", about)
     axes = axes_in(picture, Scale(-reach, reach), Scale(reach, -reach), words, equal=True)
     for colour, _, residuals in _by_colour(thinned(views)):
@@ -119,7 +121,7 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: Ta
     """Draw the RMS residual and the number of stars for each region of the sensor."""
     points = np.concatenate([view.detected for view in views])
     squares = np.sum(np.concatenate([view.residuals for view in views]) ** 2, axis=1)
-    whole = f"RMS residual of all {words.points} {np.sqrt(squares.mean()):.3g} px"
+    whole = f"RMS residual of all {words.points} {number(np.sqrt(squares.mean()), 3)} px"
     about = f"{_REGIONS[0]} by {_REGIONS[1]} regions; {whole}."
     axes = sensor_axes(
         image_size, (f"RMS residual, px, and number of {words.points}",), "regions",
@@ -131,8 +133,8 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: Ta
 
 def _by_colour(views: Sequence[ViewPicture]) -> Iterator[tuple[str, Array, Array]]:
     """Yield each colour with the stars and the residuals of all poses that have this colour."""
-    for number, colour in enumerate(POSE_COLOURS):
-        if alike := views[number :: len(POSE_COLOURS)]:
+    for first, colour in enumerate(POSE_COLOURS):
+        if alike := views[first :: len(POSE_COLOURS)]:
             yield (
                 colour,
                 np.concatenate([view.detected for view in alike]),
@@ -156,7 +158,7 @@ def _scale_bar(axes: Axes, image_size: tuple[int, int], magnification: float) ->
     axes.picture.add(
         f'<path d="M{left:.2f} {y:g}H{right:g}" fill="none" {painted("stroke", INK)} stroke-width="1.6"/>'
     )
-    text = f"{length_px:g} px, magnified {magnification:g} times"
+    text = f"{exact(length_px)} px, magnified {exact(magnification)} times"
     axes.picture.text(left - 5.0, y + 3.0, text, colour=INK, anchor="end")
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bench.measure.view_picture import ViewPicture
+from bench.wording.numbers import number
 from bench.wording.target_words import TargetWords
 from calib.arrays import Array
 
@@ -43,8 +44,8 @@ def direction_text(views: Sequence[ViewPicture], image_size: Sequence[int]) -> s
         return ""
     mean, where = max(found)
     return (
-        f"In the {where} part of the image, the residuals have one direction: {mean:.2g} px on the mean. The model does"
-        f" not explain this part, and a direction that is measured there may be off by as much."
+        f"In the {where} part of the image, the residuals have one direction: {number(mean, 2)} px on the mean. The"
+        f" model does not explain this part, and a direction that is measured there may be off by as much."
     )
 
 
@@ -74,6 +75,6 @@ def rim_text(views: Sequence[ViewPicture], camera: Mapping[str, float], words: T
     if rim <= least * middle:
         return ""
     return (
-        f"Residuals are longer at the rim: {rim:.2g} px RMS, and {middle:.2g} px in the middle. Either the lens needs "
-        f"more distortion coefficients, or the {words.points} are less sharp there."
+        f"Residuals are longer at the rim: {number(rim, 2)} px RMS, and {number(middle, 2)} px in the middle. Either "
+        f"the lens needs more distortion coefficients, or the {words.points} are less sharp there."
     )

@@ -48,7 +48,7 @@ def passport_rows(passport: StatedPassport | None) -> Rows:
     sigma = passport.sigma
     kept = ("x", "y", "r") if len(passport.values) > 1 else tuple(passport.values)
     values = [
-        f"{name} = {exact(value)} mm, standard uncertainty {sigma[name]:.2g} mm"
+        f"{name} = {exact(value)} mm, standard uncertainty {exact(sigma[name])} mm"
         for name, value in passport.values.items()
         if name in kept
     ]
@@ -83,8 +83,8 @@ def readings_rows(readings: ReadingsUse | None, estimate: GimbalEstimate | None)
     stated, bound = readings.statement, readings.bound
     if stated:
         text = (
-            f"reading {stated.reading_sigma_deg:g}°, scale {stated.scale_sigma:g}, "
-            f"eccentricity {stated.eccentricity_deg:g}° (standard uncertainties; source: {stated.source})"
+            f"reading {exact(stated.reading_sigma_deg)}°, scale {exact(stated.scale_sigma)}, "
+            f"eccentricity {exact(stated.eccentricity_deg)}° (standard uncertainties; source: {stated.source})"
         )
         rows.append(("Uncertainty of the readings", text + (f"; {_bound(bound)}" if bound else "")))
     return rows
@@ -153,28 +153,28 @@ def _agreement(estimate: GimbalEstimate | None) -> str:
     if not estimate:
         return ""
     text = (
-        f"; chi-square {estimate.chi_square:.3g} with {estimate.degrees_of_freedom} degrees of freedom, "
-        f"{3600 * estimate.rms_deg:.2g} arc seconds RMS"
+        f"; chi-square {number(estimate.chi_square, 3)} with {estimate.degrees_of_freedom} degrees of freedom, "
+        f"{number(3600 * estimate.rms_deg, 2)} arc seconds RMS"
     )
     if estimate.scatter <= 1:
         return text
-    entered = f"; entered with a standard uncertainty of {estimate.reading_sigma_deg:.3g}°"
+    entered = f"; entered with a standard uncertainty of {number(estimate.reading_sigma_deg, 3)}°"
     return f"{text}{entered}, because they scatter more than stated"
 
 
 def _bound(bound: Numbers) -> str:
+    shown = {name: exact(value) for name, value in bound.items()}
     text = (
-        f"parallax bounded by a defocus of {bound['defocus']:g}, standard uncertainty {bound['defocus_sigma']:g}, "
-        f"and a pupil {bound['pupil_off_pivot_mm']:g} mm off the pivot, standard uncertainty "
-        f"{bound['pupil_off_pivot_sigma_mm']:g} mm"
+        f"parallax bounded by a defocus of {shown['defocus']}, standard uncertainty {shown['defocus_sigma']}, and a"
+        f" pupil {shown['pupil_off_pivot_mm']} mm off the pivot, standard uncertainty"
+        f" {shown['pupil_off_pivot_sigma_mm']} mm"
     )
     if "pupil_beside_axes_mm" in bound:
-        text += f" (beside the axes {bound['pupil_beside_axes_mm']:g} mm)"
+        text += f" (beside the axes {shown['pupil_beside_axes_mm']} mm)"
     if "parallax" not in bound:
         return text
-    share, sigma = 100 * bound["parallax"], 100 * bound["parallax_sigma"]
-    shown = number(share, 2)
-    return f"{text}: {shown} % of the focal length, standard uncertainty {sigma:.2g} %"
+    share, sigma = (number(100 * bound[name], 2) for name in ("parallax", "parallax_sigma"))
+    return f"{text}: {share} % of the focal length, standard uncertainty {sigma} %"
 
 
 def conditions(of_parts: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.wording.numbers import MINUS, fixed
+from bench.wording.numbers import exact, fixed
 from calib.arrays import Array
 
 _STEPS = (1.0, 2.0, 5.0, 10.0)  # Times a power of ten: round numbers
@@ -40,7 +40,7 @@ class Scale:
             return list(self.ticks)
         low, high = sorted((self.low, self.high))
         if self.kind == "log":
-            return [(value, plain(value)) for value in log_ticks(low, high, most)]
+            return [(value, exact(value)) for value in log_ticks(low, high, most)]
         tick_values = ticks(low, high, most)
         return list(zip(tick_values, tick_labels(tick_values), strict=True))
 
@@ -111,14 +111,9 @@ def tick_labels(values: Sequence[float]) -> list[str]:
     (['−0.5', '0.0', '0.5'], ['0', '200'])
     """
     if len(values) < 2:
-        return [plain(value) for value in values]
+        return [exact(float(f"{value:.6g}")) for value in values]
     decimals = max(0, -math.floor(math.log10(values[1] - values[0]) + 1e-9))
     return [fixed(value, decimals) for value in values]
-
-
-def plain(value: float) -> str:
-    """Return a round number as text, with a true minus sign and without zeros at its end."""
-    return f"{value:.6g}".replace("-", MINUS)
 
 
 def text_width(text: str, size: float) -> float:

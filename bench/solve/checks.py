@@ -15,6 +15,7 @@ from bench.measure.expected_grid import engine_angles_deg
 from bench.record.results import GimbalComparison, Halves, MountFace, Numbers, ParallaxData
 from bench.stations.station import Station
 from bench.stations.station_budget import GimbalConfig
+from bench.wording.numbers import exact, number
 from calib.calibration import REFERENCE_MODELS
 from calib.diagnosis.hand_eye import check_hand_eye
 from calib.diagnosis.hand_eye_result import AGREES
@@ -205,9 +206,9 @@ def _effect(parallax: Parallax | None) -> list[str]:
         ]
     bound = parallax.bound
     says = (
-        f"With a defocus of {bound.defocus:.2g}, standard uncertainty {bound.defocus_sigma:.2g} (by the station file), "
-        f"the parallax is {100 * parallax.share:.2g} % of the turn, standard uncertainty "
-        f"{100 * parallax.share_sigma:.2g} %. Without a correction for it, readings of the gimbal change fx by "
-        f"{parallax.fx_px:.2g} px, standard uncertainty {parallax.fx_sigma_px:.2g} px."
+        f"With a defocus of {exact(bound.defocus)}, standard uncertainty {exact(bound.defocus_sigma)} (by the station "
+        f"file), the parallax is {number(100 * parallax.share, 2)} % of the turn, standard uncertainty "
+        f"{number(100 * parallax.share_sigma, 2)} %. Without a correction for it, readings of the gimbal change fx by "
+        f"{number(parallax.fx_px, 2)} px, standard uncertainty {number(parallax.fx_sigma_px, 2)} px."
     )
     return [says]

@@ -20,6 +20,7 @@ from bench.solve.forecasts import (
 )
 from bench.solve.next_pose import Choice, Wish, choose_pose, would_leave
 from bench.wording.goals import beside_goal, goals_text, meaning_of_goal
+from bench.wording.numbers import number
 from calib.errors import DegenerateViews, TooFewStars
 from calib.studies.planning import Forecast, forecast
 from calib.studies.predicted_views import ExpectedBench
@@ -148,7 +149,9 @@ def _missed(planned: Plan, bench: ExpectedBench, poses: Poses, forecast: Forecas
         if name in QUANTITIES:
             twice = twice or _with_twice(planned, bench, poses)
             later = (
-                "" if twice is None else f"; twice as many poses would leave {twice.limited[plain]:.2g} px"
+                ""
+                if twice is None
+                else f"; twice as many poses would leave {number(twice.limited[plain], 2)} px"
             )
             cause = f" {largest_part(forecast, QUANTITIES[name])}{later}."
         yield f"{text} will not be met: {beside_goal(expected, most, 2)} expected.{cause}"

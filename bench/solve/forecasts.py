@@ -16,6 +16,7 @@ from bench.base.errors import UsageError
 from bench.plan.plan import Plan
 from bench.solve.solve_options import gimbal_readings, stated_radial_sigma
 from bench.stations.station import Station
+from bench.wording.numbers import number
 from calib.calibration import REFERENCE_MODELS
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
@@ -156,4 +157,6 @@ def largest_part(expected: Forecast, quantity: str) -> str:
     """Return the largest part of the uncertainty of a column of the budget, as text without a full stop."""
     parts = {row.name: row.contribution.get(quantity, 0.0) for row in expected.budget_rows}
     largest = max(parts, key=lambda name: parts[name])
-    return f"Its largest part is: {largest}, {SMALLEST_COVERAGE_FACTOR * parts[largest]:.2g} px (k = 2)"
+    return (
+        f"Its largest part is: {largest}, {number(SMALLEST_COVERAGE_FACTOR * parts[largest], 2)} px (k = 2)"
+    )

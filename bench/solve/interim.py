@@ -21,6 +21,7 @@ from bench.solve.next_pose import Choice, Wish, choose_pose, would_leave
 from bench.solve.solution import accepted_measurements, views_in
 from bench.solve.solve_options import limited_numbers, solve_options
 from bench.wording.goals import meaning_of_goal, missed_text
+from bench.wording.numbers import number
 from calib.engine import Calibration, calibrate
 from calib.errors import CalibrationError
 from calib.model.passport import Passport
@@ -140,7 +141,7 @@ def _largest_source(calibration: Calibration | None, goal: str) -> str:
     parts = {row.name: row.contribution.get(QUANTITIES[goal], 0.0) for row in calibration.budget_rows}
     largest = max(parts, key=lambda source: parts[source])
     part = calibration.coverage_factor * parts[largest]
-    return f"The largest part of {meaning_of_goal(goal)} comes from: {largest}, {part:.3g} px."
+    return f"The largest part of {meaning_of_goal(goal)} comes from: {largest}, {number(part, 3)} px."
 
 
 def _choose(
@@ -158,7 +159,7 @@ def _choose(
     taken = [engine_angles_deg(a.stored["measured_deg"]) for _, a in sorted(history.accepted().items())]
     chosen = history.chosen
     labelled = sum(m.facts.get("named_by", "tag") in {"tag", "part of the tag"} for m in interim.measurements)
-    record = job.record_step(step.pose.index) if step.pose is not None else None
+    record = job.record_steps[step.pose.index] if step.pose is not None else None
     wish = Wish(
         decided["wanted"],
         decided["now"],

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from bench.wording.numbers import number
+
 if TYPE_CHECKING:
     from calib.model.result_parts import CameraCheck
     from calib.studies.camera_check import OneViewCheck
@@ -56,5 +58,5 @@ def _seen_text(name: str, size: float) -> str:
     if not math.isfinite(size):
         return f"{name} never"
     if name == "scale":
-        return f"scale {100.0 * size:.2g} %"
-    return f"{name} {size:.2g}{' px' if name in ('cx', 'cy') else ''}"
+        return f"scale {number(100.0 * size, 2)} %"
+    return f"{name} {number(size, 2)}{' px' if name in ('cx', 'cy') else ''}"

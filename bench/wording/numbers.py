@@ -93,10 +93,10 @@ def number(value: Any, digits: int = 4) -> str:
 def exact(value: float) -> str:
     """Print a number that is known exactly, in its shortest form, with nine significant digits at most.
 
-    >>> exact(3345.06), exact(-0.9), exact(255.0)
-    ('3345.06', '−0.9', '255')
+    >>> exact(3345.06), exact(-0.9), exact(255.0), exact(0.00002)
+    ('3345.06', '−0.9', '255', '0.00002')
     """
-    return f"{value:.9g}".replace("-", MINUS)
+    return _plain(Decimal(f"{value:.9g}"))
 
 
 def fixed(value: Any, decimals: int) -> str:

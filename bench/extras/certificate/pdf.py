@@ -31,7 +31,7 @@ from bench.extras.certificate.dcc_xml import library
 from bench.record.coverage import coverage_factor
 from bench.record.results import Results
 from bench.record.run_folder import CERTIFICATE, RESULTS
-from bench.wording.numbers import MINUS, NOTHING, exact, moment, number
+from bench.wording.numbers import MINUS, NOTHING, moment, number
 from sequences.tree import path_text
 
 if TYPE_CHECKING:
@@ -358,10 +358,9 @@ def stated(value: float | None, digits: int = 9) -> str:
     """
     if value is None:
         return NOTHING
-    text = exact(float(f"{value:.{digits}g}"))
-    if "e" not in text:
-        return text
-    mantissa, power = text.replace(MINUS, "-").split("e")
+    mantissa, _, power = f"{value:.{digits}g}".partition("e")
+    if not power:
+        return mantissa.replace("-", MINUS)
     return f"{_printed(mantissa)}·10{str(int(power)).translate(_SUPERSCRIPTS)}"
 
 

@@ -141,5 +141,5 @@ def test_readings_that_entered_say_how_they_agree():
     what = "entered the adjustment as measurements; chi-square 20.4 with 21 degrees of freedom"
     assert text == f"{what}, 3.6 arc seconds RMS"
     ((_, text),) = readings_rows(readings, replace(ENTERED, scatter=2.0, reading_sigma_deg=0.004))
-    widened = "entered with a standard uncertainty of 0.004°, because they scatter more than stated"
+    widened = "entered with a standard uncertainty of 0.00400°, because they scatter more than stated"
     assert text.endswith(widened)
