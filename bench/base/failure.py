@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from typing_extensions import TypedDict
+from dataclasses import asdict, dataclass
 
 from bench.base.encoding import printable_line
 from bench.base.errors import BenchError
@@ -16,15 +14,6 @@ FORESEEN = (BenchError, CalibrationError, DriverError, SequencesError)
 """Errors that state what is wrong and what to do; any other exception is a defect."""
 INVALID_FILES = (NotARecording, RecordingCorrupt)
 """Those of a file that cannot be read for what it holds: exit status 2, as for invalid arguments."""
-
-
-class FailureData(TypedDict):
-    """An error as JSON holds it (`Failure`)."""
-
-    kind: str
-    what: str
-    where: str
-    remedy: str
 
 
 @dataclass(frozen=True)
@@ -52,6 +41,6 @@ class Failure:
             return cls(type(error).__name__, what, error.where, error.remedy)
         return cls(type(error).__name__, str(error), "", "This is a defect of the program. Please report it.")
 
-    def to_dict(self) -> FailureData:
-        """Return the failure as JSON holds it."""
-        return {"kind": self.kind, "what": self.what, "where": self.where, "remedy": self.remedy}
+    def to_dict(self) -> dict[str, str]:
+        """Return the failure as journal and JSON hold it."""
+        return asdict(self)

@@ -68,7 +68,7 @@ class WorkerEnd:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the end as JSON holds it: ``how``, ``why``, ``noticed_s``, ``unsafe``, ``outside``, ``devices``."""
-        return {**asdict(self), "unsafe": self.unsafe, "devices": [end.to_dict() for end in self.devices]}
+        return {**asdict(self), "unsafe": self.unsafe}
 
 
 def supervise(

@@ -132,7 +132,7 @@ def _run_dict(end: RunEnd) -> dict[str, Any]:
         "ended": end.how,
         "why": end.why,
         "unsafe": list(end.unsafe),
-        "devices": [device.to_dict() for device in end.devices],
+        "devices": end.devices,
         "folder": str(end.folder),
         "report": str(end.outcome.report) if end.outcome else None,
         "error": error_object(end.failure) if end.failure is not None else None,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, NotRequired
-
-from typing_extensions import TypedDict  # pydantic checks these types, on Python 3.11 too
+from typing import Final, Literal
 
 DeviceName = Literal["stage", "light", "camera"]
 EndState = Literal["confirmed safe", "not confirmed", "never opened"]
@@ -28,17 +26,9 @@ _UNTOUCHED: Final[Mapping[DeviceName, str]] = {
 }
 
 
-class DeviceEndData(TypedDict):
-    """How one device was left, as the journal and JSON hold it (`DeviceEnd`)."""
-
-    device: DeviceName
-    state: EndState
-    said: NotRequired[str]
-
-
 @dataclass(frozen=True)
 class DeviceEnd:
-    """How one device was left."""
+    """How one device was left; the journal and JSON hold these fields."""
 
     device: DeviceName
     state: EndState
@@ -57,15 +47,6 @@ class DeviceEnd:
         if self.state == "confirmed safe":
             return ""
         return (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
-
-    def to_dict(self) -> DeviceEndData:
-        """Return the state as the journal and JSON hold it."""
-        return {"device": self.device, "state": self.state, "said": self.said}
-
-    @classmethod
-    def from_dict(cls, data: DeviceEndData) -> DeviceEnd:
-        """Read what `to_dict` wrote."""
-        return cls(data["device"], data["state"], data.get("said", ""))
 
 
 def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:

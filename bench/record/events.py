@@ -16,8 +16,6 @@ from typing import (
 
 from typing_extensions import TypedDict
 
-from bench.base.failure import FailureData
-from bench.record.device_end import DeviceEndData
 from bench.record.journal import CAPTURE_STORED
 from bench.record.measured_facts import GateData, MeasuredFacts, RecordingCounts
 from drivers.lateness import LatenessData
@@ -46,7 +44,7 @@ class Devices(TypedDict):
 class DevicesLeft(TypedDict):
     """Payload of ``devices_left``: each device as in `RunEnded`, asked after the last step that needs devices."""
 
-    devices: Sequence[DeviceEndData]
+    devices: Sequence[Mapping[str, Any]]
 
 
 class Event(StrEnum):
@@ -397,12 +395,13 @@ class Deviation(TypedDict):
 class RunEnded(TypedDict):
     """Payload of ``run_ended``; ``error`` where the run failed, ``crashed`` where the error was not foreseen.
 
-    ``devices`` states how each was left (``device state said``), ``lateness`` how late this process was woken.
+    ``error`` is a `bench.base.failure.Failure` by field; ``devices`` states how each was left, a
+    `bench.record.device_end.DeviceEnd` by field, ``lateness`` how late this process was woken.
     """
 
     how: Literal["finished", "aborted", "failed"]
     why: str
-    error: NotRequired[FailureData]
+    error: NotRequired[Mapping[str, str]]
     crashed: NotRequired[bool]
-    devices: NotRequired[Sequence[DeviceEndData]]
+    devices: NotRequired[Sequence[Mapping[str, Any]]]
     lateness: NotRequired[LatenessData]

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple, ParamSpec
 
 import calib.errors
 from bench.base.errors import JournalBroken
-from bench.base.failure import FailureData
+from bench.base.failure import Failure
 from bench.base.pasteable import pasteable
-from bench.record.device_end import DeviceEndData
+from bench.record.device_end import DeviceEnd
 from bench.record.events import (
     AttemptChecked,
     CaptureStored,
@@ -95,9 +95,9 @@ class History:
     started: RunStarted = field(default_factory=_nothing)
     started_utc: str = ""
     devices: Devices = field(default_factory=_nothing)
-    devices_left: Sequence[DeviceEndData] = ()
+    devices_left: Sequence[DeviceEnd] = ()
     """How each device was left after the last step that needs devices; empty before, or if nothing states it."""
-    devices_at_end: Sequence[DeviceEndData] = ()
+    devices_at_end: Sequence[DeviceEnd] = ()
     """How each device was left at the last end of the run; empty if nothing states it."""
     done_steps: set[int] = field(default_factory=set)
     attempts: list[Attempt] = field(default_factory=list, init=False)
@@ -106,7 +106,7 @@ class History:
     states: list[StateEntered] = field(default_factory=list)
     deviations: list[str] = field(default_factory=list)
     holds: list[str] = field(default_factory=list)  # Pauses that a person asked for and ended
-    failures: list[FailureData] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
     """The errors that ended the run before it was resumed, and the one that ended it last."""
     resumed: int = 0
     ended: str = ""
@@ -151,7 +151,7 @@ class History:
         self._last_mono_s = 0.0
 
     @property
-    def failure(self) -> FailureData | None:
+    def failure(self) -> Failure | None:
         """Why the run failed; None if it did not."""
         return self.failures[-1] if self.ended == "failed" and self.failures else None
 
@@ -265,18 +265,22 @@ def apply_entry(history: History, entry: Entry) -> None:
             _apply_command(history, entry.of(Commanded))
         case Event.RUN_ENDED:
             history.ended, history.why = str(data["how"]), str(data["why"])
-            history.devices_at_end = tuple(data.get("devices", ()))
+            history.devices_at_end = _ends_of(data)
             if "error" in data:
-                history.failures.append(data["error"])
+                history.failures.append(Failure(**data["error"]))
             _clear_hold(history)
             count_crash(history, data.get("crashed"))
         case Event.DEVICES:
             history.devices = entry.of(Devices)
             history.devices_left = history.devices_at_end = ()
         case Event.DEVICES_LEFT:
-            history.devices_left = tuple(data["devices"])
+            history.devices_left = _ends_of(data)
         case _:
             _apply_pose_entry(history, entry)
+
+
+def _ends_of(data: Mapping[str, Any]) -> Sequence[DeviceEnd]:
+    return [DeviceEnd(**end) for end in data.get("devices", ())]
 
 
 def _apply_lateness(history: History, entry: Entry) -> None:
@@ -347,7 +351,7 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
 
     A resumed run uses its own copies of the files, so it ends in the same way if one of them was wrong.
     """
-    kind = history.failure["kind"] if history.failure else ""
+    kind = history.failure.kind if history.failure else ""
     if kind and issubclass(getattr(calib.errors, kind, type(None)), calib.errors.CalibrationError):
         return (
             "All recordings are kept. With the same model they are refused again. With the joint adjustment:",

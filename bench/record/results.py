@@ -19,8 +19,8 @@ from typing import (
 
 from typing_extensions import TypedDict
 
-from bench.base.failure import FailureData
-from bench.record.device_end import DeviceEndData
+from bench.base.failure import Failure
+from bench.record.device_end import DeviceEnd
 from bench.record.events import (
     AttemptData,
     CauseData,
@@ -392,8 +392,8 @@ class Results(TypedDict):
     untils: NotRequired[Sequence[UntilDecided]]
     deviations: NotRequired[Sequence[str]]
     holds: NotRequired[Sequence[str]]  # Pauses that a person asked for and ended
-    failures: NotRequired[Sequence[FailureData]]
-    devices_left: NotRequired[Sequence[DeviceEndData]]
+    failures: NotRequired[Sequence[Failure]]
+    devices_left: NotRequired[Sequence[DeviceEnd]]
     states: NotRequired[Sequence[StateEntered]]
     # ``view path size_bytes sha256`` of each input file of a calibration without devices
     sources: NotRequired[Sequence[Mapping[str, str | int]]]

@@ -182,9 +182,9 @@ def render_ended(
     failure = history.failure
     return render_page(
         "ended.html.j2",
-        what=failure["what"] if failure else history.why,
-        where=failure["where"] if failure else "",
-        remedy=failure["remedy"] if failure else "",
+        what=failure.what if failure else history.why,
+        where=failure.where if failure else "",
+        remedy=failure.remedy if failure else "",
         run=history.started,
         how="failed" if history.ended == "failed" else "was aborted",
         way_on=way_on,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.base.failure import FailureData
-from bench.record.device_end import DeviceEnd, DeviceEndData
+from bench.base.failure import Failure
+from bench.record.device_end import DeviceEnd
 from bench.record.events import LedgerPlace
 from bench.record.results import (
     Numbers,
@@ -209,9 +209,8 @@ def connections(identified: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(_readable(name), str(value)) for name, value in (identified.get("connections") or {}).items()]
 
 
-def left(ends_of_devices: Sequence[DeviceEndData]) -> list[tuple[str, str, str]]:
+def left(ends: Sequence[DeviceEnd]) -> list[tuple[str, str, str]]:
     """List device, state, and answer (or what may be the case) after the last step that needs devices."""
-    ends = [DeviceEnd.from_dict(end) for end in ends_of_devices]
     return [(end.device, end.state, " ".join(filter(None, (end.said, end.advice)))) for end in ends]
 
 
@@ -324,9 +323,9 @@ def deviations(results: Results) -> list[str]:
     return failures + [str(deviation) for deviation in results.get("deviations") or []]
 
 
-def _failure_text(error: FailureData) -> str:
-    place = f" ({error['where']})" if error["where"] else ""
-    return f"The run failed and was resumed. {error['kind']}{place}: {error['what']}"
+def _failure_text(error: Failure) -> str:
+    place = f" ({error.where})" if error.where else ""
+    return f"The run failed and was resumed. {error.kind}{place}: {error.what}"
 
 
 def _ledger_rows(ledger: LedgerPlace) -> list[tuple[str, str]]:

@@ -110,18 +110,16 @@ class RunDevices:
         """Stop the stage, switch the light off, stop the camera, journal what each confirmed; all stay open."""
         history = self._log.history
         if self._devices is not None:
-            ends = [end.to_dict() for end in all_ends(self._devices.make_each_safe())]
-        elif history.devices_at_end:
-            ends = list(history.devices_at_end)
+            ends = all_ends(self._devices.make_each_safe())
         else:
-            ends = [end.to_dict() for end in lost_ends(NOT_ASKED)]
-        self._log.write(events.DevicesLeft, devices=ends)
+            ends = list(history.devices_at_end) or lost_ends(NOT_ASKED)
+        self._log.write(events.DevicesLeft, devices=[asdict(end) for end in ends])
 
     def ends(self) -> list[DeviceEnd]:
         """Return how the run leaves each device, as far as anything is known: by an earlier process if it used none."""
         history = self._log.history
         stated = () if self._tried else history.devices_at_end or history.devices_left
-        return [DeviceEnd.from_dict(end) for end in stated] or all_ends(self._ends)
+        return list(stated) or all_ends(self._ends)
 
     def close(self) -> None:
         """Close the ports; nothing moves."""

@@ -6,7 +6,7 @@ However a run ends, the stage is stopped, the light is off and the camera is sto
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -229,7 +229,7 @@ class Runner:
         """Journal the end of the run, how it leaves each device, and how late the computer was."""
         facts: dict[str, Any] = {"error": failure.to_dict()} if failure is not None else {}
         facts |= {"crashed": True} if crashed else {}
-        facts["devices"] = [end.to_dict() for end in self.context.devices.ends()]
+        facts["devices"] = [asdict(end) for end in self.context.devices.ends()]
         if lateness := self.context.clock.lateness():
             facts["lateness"] = lateness
         self.context.log.write(events.RunEnded, how=how, why=why, **facts)
@@ -351,7 +351,7 @@ class Runner:
     def left_off(self, data: LeftOff) -> None:
         """Journal that the work of a state has ended; nothing interrupts the time between two states."""
         self.context.log.write(events.LeftOff, **data)
-        self.context.interlocks.left_off()
+        self.context.interlocks.entering("")
 
     def _stop_without_supervisor(self) -> None:
         """End the run safely if the supervisor of this process has ended: nobody would notice its hang."""

@@ -16,7 +16,7 @@ from bench.base.pasteable import pasteable
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.record.coverage import estimates, factors_text
-from bench.record.device_end import NO_END, NOT_ASKED, DeviceEnd, DeviceEndData, all_ends, lost_ends
+from bench.record.device_end import NO_END, NOT_ASKED, DeviceEnd, all_ends, lost_ends
 from bench.record.events import (
     AttemptChecked,
     Commanded,
@@ -90,14 +90,14 @@ def _command_text(data: Commanded) -> str:
 
 
 def _end_text(data: RunEnded) -> str:
-    ends = [DeviceEnd.from_dict(end) for end in data.get("devices", ())]
+    ends = [DeviceEnd(**end) for end in data.get("devices", ())]
     used = any(end.state != "never opened" for end in ends)
     unsure = "".join(f"; {end.text}" for end in ends if used and end.state != "confirmed safe")
     return f"{data['how']}{': ' if data['why'] else ''}{data['why']}{unsure}"
 
 
 def _left_text(data: DevicesLeft) -> str:
-    ends = [DeviceEnd.from_dict(end) for end in data["devices"]]
+    ends = [DeviceEnd(**end) for end in data["devices"]]
     unsure = [end.text for end in ends if end.state != "confirmed safe"]
     return f"the devices after the last step that needs them: {'; '.join(unsure) or 'all confirmed safe'}"
 
@@ -177,7 +177,7 @@ class Status:
     report: str = ""  # Path of its report, or of the page of a run that ended early; empty while it has none
     # How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on
     # the run.
-    devices: Sequence[DeviceEndData] = ()
+    devices: Sequence[DeviceEnd] = ()
     busy: str = ""  # How late a busy computer was, as text; empty if the journal does not say
     lateness: LatenessData = field(default_factory=LatenessData)  # The same in seconds (`drivers.lateness`)
     ledger_number: int | None = None  # Number in the ledger of its bench; None for a rehearsal
@@ -340,13 +340,12 @@ def evidence_text(folder: Path, now: datetime) -> str:
     return shown_state(folder, home_trust(home), now, known_authorisations(home)).text
 
 
-def _devices_left(history: History) -> tuple[DeviceEndData, ...]:
+def _devices_left(history: History) -> Sequence[DeviceEnd]:
     """Return how each device was left, by the last line that states it; a process that was killed states nothing."""
     stated = history.devices_at_end or history.devices_left
     if stated or history.ended:
-        return tuple(stated)
-    ends = lost_ends(NOT_ASKED) if history.states else all_ends(())
-    return tuple(end.to_dict() for end in ends)
+        return stated
+    return lost_ends(NOT_ASKED) if history.states else all_ends(())
 
 
 def _result_text(history: History) -> str:
@@ -481,7 +480,7 @@ def _busy(status: Status) -> dict[str, str]:
 
 def _unasked(status: Status) -> list[str]:
     """Return what may be the case after a run whose process was killed. Other ends state it in their last line."""
-    ends = [] if status.ended or status.sealed else [DeviceEnd.from_dict(device) for device in status.devices]
+    ends = () if status.ended or status.sealed else status.devices
     advice = [end.advice for end in ends if end.state == "not confirmed" and end.advice]
     if not advice:
         return []

@@ -269,10 +269,7 @@ def _range(name: str, values: list[float | None], unit: str) -> Condition | None
 def deviations_of(results: Results) -> tuple[Deviation, ...]:
     """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates."""
     texts = [str(text) for text in (*(results.get("deviations") or ()), *(results.get("holds") or ()))]
-    texts += [
-        f"The run was interrupted: {failure.get('what') or failure}"
-        for failure in results.get("failures") or []
-    ]
+    texts += [f"The run was interrupted: {failure.what}" for failure in results.get("failures") or []]
     if resumed := int(results["run"].get("resumed") or 0):
         texts.append(f"The run was resumed {resumed} time{'s' if resumed > 1 else ''}.")
     texts += [

@@ -20,7 +20,6 @@ from bench.extras.pages.panel.shown_run import (
     StateData,
     TimesData,
 )
-from bench.record.device_end import DeviceEnd
 from bench.record.events import Asked, AttemptChecked, CaptureStored
 from bench.record.folder_lock import is_locked
 from bench.record.history import History
@@ -129,8 +128,9 @@ def _without_process(model: RunModel) -> LeaveData:
 
 def _unsafe(history: History) -> list[str]:
     """Return a sentence for stage and light each if it did not confirm at the run's end that it is safe."""
-    ends = [DeviceEnd.from_dict(device) for device in history.devices_at_end]
-    return [end.text for end in ends if end.state == "not confirmed" and end.device != "camera"]
+    return [
+        end.text for end in history.devices_at_end if end.state == "not confirmed" and end.device != "camera"
+    ]
 
 
 def _needs_a_person(model: RunModel, process: ProcessState) -> LeaveData | None:
@@ -243,8 +243,8 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
         "sealed": process.sealed,
         "evidence": evidence_text(model.folder, now) if process.sealed else "",
         "ended": history.ended,
-        "why": failure["what"] if failure else history.why,
-        "remedy": failure["remedy"] if failure else "",
+        "why": failure.what if failure else history.why,
+        "remedy": failure.remedy if failure else "",
         "faults": faults_of(model, process),
         "incomplete": model.tail.incomplete and not process.running,
         "read_share": round(model.tail.read_share, 3) if model.tail.more else 1.0,

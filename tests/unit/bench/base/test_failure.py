@@ -134,7 +134,7 @@ def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_ea
         errors = capsys.readouterr().err
         assert head in errors.splitlines()
         assert "Look at the bench" not in errors
-        assert [device["state"] for device in read_status(scene.folder).devices] == ["confirmed safe"] * 3
+        assert [device.state for device in read_status(scene.folder).devices] == ["confirmed safe"] * 3
     history = scene.history()
     assert "(failed: views.h5: " in intentions(scene.task, history, None)[0]
 
@@ -145,7 +145,7 @@ def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):
     assert scene.run().how == "failed"
     errors.clear()
     assert scene.run().how == "finished"
-    assert scene.history().failures == [SLIPPED]
+    assert scene.history().failures == [Failure(**SLIPPED)]
 
 
 @pytest.mark.parametrize(

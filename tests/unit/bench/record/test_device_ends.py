@@ -26,7 +26,6 @@ from drivers.stage.zaber import ZaberStage
 def test_the_text_says_what_may_be_the_case(device, state, reason, text):
     end = DeviceEnd(device, state, reason)
     assert end.text == f"{device}: {state}{':' if reason else '.'} {text}".rstrip()
-    assert DeviceEnd.from_dict(end.to_dict()) == end
 
 
 def test_a_device_that_nobody_mentions_was_never_opened():
@@ -50,13 +49,13 @@ def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkey
     station = load_station("example_evk4").value
     stage = create_autospec(ZaberStage, instance=True)
     stage.stop.side_effect, stage.position_deg.return_value = stop, {"pan": 1.25}
-    monkeypatch.setattr(devices, "open_stage", lambda *_: stage)
+    monkeypatch.setattr(type(station.stage), "open_device", lambda *_, **__: stage)
     monkeypatch.setattr(devices, "hold_devices", lambda _devices: devices.ExitStack())
 
-    def missing(*_):
+    def missing(*_, **__):
         raise PortNotFound("there is no such port.", where="/dev/lamp")
 
-    monkeypatch.setattr(devices, "open_light", missing)
+    monkeypatch.setattr(type(station.light), "open_device", missing)
     with pytest.raises(PortNotFound) as caught:
         devices.Devices(station, seed=1, clock=BenchClock(), wire_log=None)
     (left,) = devices.left_devices(caught.value)

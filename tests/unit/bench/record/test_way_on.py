@@ -2,6 +2,7 @@
 
 import pytest
 
+from bench.base.failure import Failure
 from bench.record.history import Attempt, History, way_on
 
 
@@ -9,7 +10,7 @@ def ended(kind, *, how="failed", recorded=1, accepted=True):
     history = History()
     history.ended = how
     history.started = {"begun_with": ["nine_pose", "--station", "my bench.yaml"]}
-    history.failures = [{"kind": kind, "what": "w", "where": "", "remedy": ""}]
+    history.failures = [Failure(kind, "w")]
     history.attempts = [Attempt(1, "left", 1, {})] * recorded
     history.accepted = lambda: dict(enumerate(history.attempts)) if accepted else {}
     return history

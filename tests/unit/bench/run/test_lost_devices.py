@@ -146,4 +146,4 @@ def test_a_resumed_run_without_devices_claims_only_what_was_seen(tmp_path, monke
     assert state == ("confirmed safe" if ended else "not confirmed")
     assert (reason == NOT_ASKED) is not ended
     history = scene.history()
-    assert [end["device"] for end in history.devices_left] == list(DEVICES)
+    assert [end.device for end in history.devices_left] == list(DEVICES)

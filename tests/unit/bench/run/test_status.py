@@ -143,7 +143,7 @@ def test_a_run_that_has_ended_says_how_each_device_was_left_and_how_late_the_com
     assert "Computer busy: 7.4 s late in 10 s" in status_text(run.status())
     run.tell(Event.RUN_ENDED, how="failed", why="gone", devices=ends, lateness=lateness)
     run.die()
-    assert run.status().to_dict()["devices"] == tuple(ends)
+    assert run.status().to_dict()["devices"] == ends
     text = status_text(run.status())
     assert "light: not confirmed" in text
     assert "31 s were lost" in text
@@ -152,7 +152,7 @@ def test_a_run_that_has_ended_says_how_each_device_was_left_and_how_late_the_com
 
 def test_a_run_that_never_began_claims_nothing_of_the_devices(run):
     run.die()
-    assert [device["state"] for device in run.status().devices] == ["never opened"] * 3
+    assert [device.state for device in run.status().devices] == ["never opened"] * 3
     assert "CHECK" not in status_text(run.status())
 
 
