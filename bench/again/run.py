@@ -202,7 +202,7 @@ def _check_camera(path: Path, attempt: Attempt, findings: Findings) -> None:
 
 def _due_verdict(job: Job, attempt: Attempt, again: Measurement) -> dict[str, Any]:
     """Return what the journal must hold about a recording; of the expected grid, which is not known, what it states."""
-    step = job.record_step(attempt.pose_index)
+    step = job.record_steps[attempt.pose_index]
     verdict = judged(job.camera_kind, step, job.frequency_hz(step), attempt.stored, again)
     facts = {name: value for name, value in again.facts.items() if name != "expected_grid"}
     stated = attempt.measured.get("expected_grid")

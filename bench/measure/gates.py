@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from bench.record.as_data import as_data
-from bench.record.measured_facts import GateData
 from drivers.camera import RecordingFacts
 from sequences.schema import GateConfig, Waveform
 from sequences.script import Gates
@@ -64,10 +62,6 @@ class Gate:
     unit: str  # Its unit; empty for a pure number
     limit: str  # The limit as text, such as ``>= 40``
     verdict: Verdict  # ``pass``, ``marginal`` or ``fail``
-
-    def as_data(self) -> GateData:
-        """Return the gate as results and journal hold it."""
-        return as_data(self, GateData)
 
 
 def at_least(name: str, value: float, limit: float, unit: str) -> Gate:

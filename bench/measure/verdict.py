@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 from bench.measure.camera_kinds import CameraKind
 from bench.measure.gates import at_most, failed_gate_texts
+from bench.record.as_data import as_data
 from bench.record.events import AttemptChecked, CaptureStored
+from bench.record.measured_facts import GateData
 from sequences.script import RecordStep
 
 if TYPE_CHECKING:
@@ -36,6 +38,6 @@ def judged(
         "accepted": not reasons,
         "reasons": reasons,
         "stars": measurement.stars,
-        "gates": [gate.as_data() for gate in gates],
+        "gates": [as_data(gate, GateData) for gate in gates],
         "measured": measurement.facts,
     }

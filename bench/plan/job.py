@@ -157,21 +157,10 @@ class Job:
         assert light.flicker is not None
         return light.flicker.frequency_hz
 
-    def record_step(self, pose_index: int) -> RecordStep:
-        """Return the step that records at a pose, numbered from 1."""
-        return self._record_steps[pose_index]
-
     @cached_property
-    def _record_steps(self) -> dict[int, RecordStep]:
+    def record_steps(self) -> dict[int, RecordStep]:
+        """The step that records at a pose, by the number of the pose from 1."""
         return {s.pose.index: s for s in self.steps if isinstance(s, RecordStep)}
-
-    def index_of(self, step: ScriptStep) -> int:
-        """Return the place of a step in the script, from 0."""
-        return self._indices[step.number]
-
-    @cached_property
-    def _indices(self) -> dict[int, int]:
-        return {step.number: index_of for index_of, step in enumerate(self.steps)}
 
     def at_its_pose(self, step: PoseStep, chosen: Mapping[int, Mapping[str, float]]) -> PoseStep:
         """Return a step with the angles that the stage takes: 0 for axes not named, if the run chooses poses."""

@@ -52,11 +52,6 @@ class Interlock(ABC):
     poll_s: float = 1.0  # Time between two checks whether the run may continue, s
     config: InterlockConfig
 
-    @property
-    def max_hold_s(self) -> float:
-        """Longest total time for which it may hold a run, s."""
-        return self.config.max_hold_s
-
     @abstractmethod
     def why(self, *, held: bool) -> str:
         """Return why the interlock holds, or an empty text; while held, the stricter limit for continuing applies."""
@@ -95,15 +90,11 @@ class Interlocks:
                 self._clock.interrupt(self._interrupting.text)
 
     def entering(self, state: str) -> None:
-        """Let an open door interrupt the work in states that use devices, and in no other state."""
+        """Let an open door interrupt the work in states that use devices, and at no other time (an empty name)."""
         with self._lock:
             self._guarding = state in GUARDED
             if not self._guarding:
                 self._clock.clear_interruption()
-
-    def left_off(self) -> None:
-        """Let no interlock interrupt the time between two states."""
-        self.entering("")
 
     def require_clear(self) -> None:
         """Raise `Interrupted` if an interlock holds before work continues; ``take_interruption`` then returns it."""
@@ -136,7 +127,7 @@ class Interlocks:
             self._held_s[interlock.name] = before_s + held_s
             if not (why := interlock.why(held=True)):
                 return held_s
-            if before_s + held_s > interlock.max_hold_s:
+            if before_s + held_s > interlock.config.max_hold_s:
                 name, all_s = interlock_text(interlock.name), before_s + held_s
                 raise InterlockHeld(
                     f"The {name} interlock has held the run for {all_s:.0f} s: {why.rstrip('.')}.",

@@ -87,15 +87,14 @@ class Steps:
 
     def prepare_again(self, step: ScriptStep) -> None:
         """Set up the bench again after a hold: the light, and the move and settling that the next recording needs."""
-        here = self._run.job.index_of(step)
-        left_out = self._run.log.history.is_left_out
-        coming = (following for following in self._run.job.steps[here:] if not left_out(following.number))
+        steps, left_out = self._run.job.steps, self._run.log.history.is_left_out
+        coming = (following for following in steps[steps.index(step) :] if not left_out(following.number))
         if not any(isinstance(following, RecordStep) for following in coming):
             return
         light = self._run.job.light_before(step)
         if light is not None and not isinstance(step, LightStep):
             self.set_light(light)
-        for needed in steps_to_repeat(self._run.job.steps, step):
+        for needed in steps_to_repeat(steps, step):
             self.take(needed)
 
     def return_to(self, step: ScriptStep) -> None:
@@ -126,7 +125,7 @@ class Steps:
 
     def skip(self, pose_index: int, why: str) -> None:
         """Skip a pose, numbered from 1: its steps will not be done."""
-        name = self._run.job.record_step(pose_index).pose.name
+        name = self._run.job.record_steps[pose_index].pose.name
         what = f"Pose {pose_index} ({name}) was skipped: {why}."
         self._run.log.write(events.PoseSkipped, pose=pose_index, pose_name=name, what=what)
         self._run.say(what)

@@ -15,6 +15,6 @@ if TYPE_CHECKING:
 
 def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
     """Measure a stored recording with the grid that was expected at its time."""
-    step = job.record_step(attempt.pose_index)
+    step = job.record_steps[attempt.pose_index]
     path = folder / str(attempt.stored["capture"])
     return job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, grid_from_journal(attempt))

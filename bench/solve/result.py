@@ -63,7 +63,7 @@ def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measure
         measurement = measured.get(index)
         if measurement is None or measurement.view is None:
             continue
-        options = decided_by_run(job, job.record_step(index), attempt)
+        options = decided_by_run(job, job.record_steps[index], attempt)
         kept.write(view_key(str(attempt.stored["sha256"]), options), measurement.view)
         count += 1
     return count if not kept.remarks else 0

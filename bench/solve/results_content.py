@@ -14,6 +14,7 @@ from bench import __version__
 from bench.base.program import differing_software, forms
 from bench.measure.camera_kinds import CameraKind
 from bench.plan.job import Job
+from bench.record.as_data import as_data
 from bench.record.conformity import conformity
 from bench.record.events import AttemptData, CauseData, Solved
 from bench.record.history import Attempt, History
@@ -101,7 +102,7 @@ def results_content(
     The parts are in the order of the file; those that do not apply are missing. `Results` is what a reader gets of it.
     """
     calibration, checks = solution.calibration, solution.checks
-    gates = [gate.as_data() for gate in solution.judged] + _pose_gates(history)
+    gates = [as_data(gate, GateData) for gate in solution.judged] + _pose_gates(history)
     failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
     # PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any.
     judged_limits = conformity(calibration, job.limits, failed, checks=checks.check is not None)

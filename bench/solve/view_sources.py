@@ -170,7 +170,7 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             read = partial(_view_of_recording, path, choices)
             yield ViewSource(path, read, decided_by=_decided_by("recording", path, choices))
             continue
-        step = job.record_step(index)
+        step = job.record_steps[index]
         step = step if choices.image == "auto" else replace(step, image=choices.image)
         read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
         decided_by = decided_by_run(job, step, attempt)

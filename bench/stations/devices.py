@@ -14,7 +14,6 @@ from bench.base.errors import SimulationError
 from bench.record.device_end import DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.simulated import SimulatedBench
 from bench.stations.device_locks import hold_devices, serial_devices
-from bench.stations.sections import PortName
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.camera import EventCamera
@@ -46,11 +45,11 @@ class Devices:
             if station.needs_simulated_bench:
                 self.simulation = opened.enter_context(SimulatedBench(station.simulated_world, seed))
             opened.enter_context(hold_devices(serial_devices(station)))
-            self.stage = open_stage(station, self._port, clock, wire_log)
+            self.stage = station.stage.open_device(self._port, clock=clock, wire_log=wire_log)
             opened.callback(self.stage.close)
-            self.light = open_light(station, self._port, clock, wire_log)
+            self.light = station.light.open_device(self._port, clock=clock, wire_log=wire_log)
             opened.callback(self.light.close)
-            self.camera = open_camera(station, self._port, clock)
+            self.camera = station.camera.open_device(self._port, clock=clock)
             opened.callback(self.camera.close)
             self._opened = opened.pop_all()
 
@@ -147,18 +146,3 @@ def _without_recording(camera: Camera) -> str:
     who = camera.identify()
     serial = f" as serial number {who.serial}" if who.serial else ""
     return f"it answers{serial}, and no recording is in progress"
-
-
-def open_stage(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Stage:
-    """Open the stage of a station. Nothing moves, and nothing is switched on."""
-    return station.stage.open_device(port, clock=clock, wire_log=wire_log)
-
-
-def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: WireLog | None) -> Light:
-    """Open the light of a station. Nothing moves, and nothing is switched on."""
-    return station.light.open_device(port, clock=clock, wire_log=wire_log)
-
-
-def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
-    """Open the camera of a station. Nothing moves, and nothing is switched on."""
-    return station.camera.open_device(port, clock=clock)

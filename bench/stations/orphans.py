@@ -11,7 +11,8 @@ from typing import Any
 
 from bench.base.clock import BenchClock
 from bench.record.device_end import NOT_ASKED, DeviceEnd, DeviceName
-from bench.stations.devices import open_light, open_stage, stop_stage, switch_off
+from bench.stations.devices import stop_stage, switch_off
+from bench.stations.sections import AnyLight, AnyStage
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.errors import DriverError
@@ -20,15 +21,15 @@ from drivers.errors import DriverError
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
     """Stop stage and light whose process died, each opened anew; return what they answered. Not simulated ones."""
     ends = []
-    asked: tuple[tuple[DeviceName, tuple[str, ...], Callable[..., Any], Callable[[Any], str]], ...] = (
-        ("stage", station.stage.ports, open_stage, stop_stage),
-        ("light", station.light.ports, open_light, switch_off),
+    asked: tuple[tuple[DeviceName, AnyStage | AnyLight, Callable[[Any], str]], ...] = (
+        ("stage", station.stage, stop_stage),
+        ("light", station.light, switch_off),
     )
-    for name, ports, open_device, make_safe in asked:
-        if any(port.startswith(SIMULATED_PREFIX) for port in ports):
+    for name, section, make_safe in asked:
+        if any(port.startswith(SIMULATED_PREFIX) for port in section.ports):
             continue
         try:
-            with closing(open_device(station, str, clock, None)) as device:
+            with closing(section.open_device(str, clock=clock, wire_log=None)) as device:
                 ends.append(DeviceEnd(name, "confirmed safe", make_safe(device)))
         except DriverError as error:
             fault = f"the {name} of a dead process could not be made safe: {error}"

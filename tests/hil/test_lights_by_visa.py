@@ -11,7 +11,6 @@ from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 from station_texts import PLAIN, station_of
 
-from bench.stations.devices import open_light
 from drivers.clock import SystemClock
 from drivers.errors import PortBusy, PortLost, PortNotFound
 from drivers.light import LightSettings
@@ -101,7 +100,7 @@ def test_a_generator_is_set_read_back_and_switched(monkeypatch, kind) -> None:
 def test_a_station_file_names_a_generator_by_its_address(monkeypatch) -> None:
     instrument = connect(monkeypatch)
     station = station_of(PLAIN.replace("port: sim:light", f'dialect: numbered\n  port: "{ADDRESS}"'))
-    light = open_light(station, str, SystemClock(), None)
+    light = station.light.open_device(str, clock=SystemClock(), wire_log=None)
     light.apply(FLICKER)
     light.on()
     assert instrument.states[-1].output

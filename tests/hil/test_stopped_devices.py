@@ -23,7 +23,6 @@ from running import (
 
 from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
-from bench.stations.devices import open_light, open_stage
 from bench.stations.station import load_station
 from drivers.file_lock import FOLDER_VARIABLE
 
@@ -48,9 +47,9 @@ def bench(tmp_path, monkeypatch):
 def see_that_it_is_safe(station):
     """Ask the devices themselves: the light is off, the stage stands."""
     words, clock = load_station(str(station)).value, BenchClock()
-    with closing(open_light(words, str, clock, None)) as light:
+    with closing(words.light.open_device(str, clock=clock, wire_log=None)) as light:
         assert not light.is_on()
-    with closing(open_stage(words, str, clock, None)) as stage:
+    with closing(words.stage.open_device(str, clock=clock, wire_log=None)) as stage:
         first = stage.position_deg()
         time.sleep(0.3)
         assert stage.position_deg() == first

@@ -20,7 +20,6 @@ from bench.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supe
 from bench.run.crash_log import read_crash
 from bench.run.processes import out_of_memory_kills
 from bench.simulated import SimulatedBench
-from bench.stations.devices import open_light
 from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station
 from drivers.light import LightSettings
@@ -205,7 +204,7 @@ def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
             text = text.replace(f"sim:{name}", world.endpoints[name])
         (tmp_path / "station.yaml").write_text(text)
         station, clock = load_station(str(tmp_path / "station.yaml")).value, BenchClock()
-        light = open_light(station, str, clock, None)
+        light = station.light.open_device(str, clock=clock, wire_log=None)
         light.apply(LightSettings("square", 60.0, 50.0, 0.0, 5.0))
         light.on()
         assert light.is_on()
@@ -213,7 +212,7 @@ def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
         ends = make_orphans_safe(station, clock)
         assert [end.state for end in ends] == ["confirmed safe", "confirmed safe", "not confirmed"]
         assert "off" in ends[1].said
-        light = open_light(station, str, clock, None)
+        light = station.light.open_device(str, clock=clock, wire_log=None)
         assert not light.is_on()
         light.close()
 

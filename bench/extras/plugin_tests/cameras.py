@@ -14,7 +14,6 @@ import pytest
 
 from bench.extras.plugin_tests.rig import Connected, ConnectedContract, fails_in_time, station_of
 from bench.extras.plugin_tests.stages import ContractClock
-from bench.stations.devices import open_camera
 from drivers.camera import CameraSettings, EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings, read_frames
 from drivers.camera.raw_file import RawFile
@@ -82,7 +81,7 @@ class AnyCameraContract(ConnectedContract):
     def _opened(self, simulated: SimulatedCamera, clock: ContractClock, **changes: object) -> Any:
         station = station_of("camera", self.section, simulated.address, changes)
         any_clock: Any = clock
-        return open_camera(station, str, any_clock)
+        return station.camera.open_device(str, clock=any_clock)
 
     def _prepare(self, camera: Any) -> None:
         """Do what a run does before it takes something."""

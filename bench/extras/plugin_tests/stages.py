@@ -24,7 +24,6 @@ from bench.extras.plugin_tests.rig import (
     rig,
     station_of,
 )
-from bench.stations.devices import open_light, open_stage
 from bench.stations.station import Station
 from drivers.clock import SystemClock
 from drivers.errors import (
@@ -113,7 +112,8 @@ class RealTime(DeviceTime):
 
 def _opened(kind: Literal["stage", "light"], station: Station) -> Any:
     clock: Any = ContractClock()
-    return (open_stage if kind == "stage" else open_light)(station, str, clock, None)
+    section = station.stage if kind == "stage" else station.light
+    return section.open_device(str, clock=clock, wire_log=None)
 
 
 class SerialContract:

@@ -221,7 +221,7 @@ def _solved_picture(path: Path, name: str) -> tuple[PictureAnswer, bytes] | None
 
 def _measured_picture(request: PictureRequest) -> tuple[PictureAnswer, bytes]:
     job = job_of_run(request.folder)
-    step = job.record_step(request.pose)
+    step = job.record_steps[request.pose]
     grid = request.expected_grid
     measured = job.camera_kind.measure(
         request.folder / request.capture,

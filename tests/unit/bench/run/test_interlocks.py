@@ -91,7 +91,7 @@ def test_an_open_door_interrupts_devices_at_work_and_nothing_else(tmp_path):
     interlocks.check_door()
     with pytest.raises(Interrupted, match="door interlock"):
         clock.sleep(1)
-    interlocks.left_off()
+    interlocks.entering("")
     clock.check()
     assert interlocks.take_interruption().interlock.name == "door"
 
@@ -119,5 +119,5 @@ def test_a_station_has_the_interlocks_that_it_names(tmp_path):
     sensors = SimpleNamespace(camera_c=None, last_mev_s=None, dark_mev_s=None, reopen=None)
     door, space, lost = interlocks_of(configured, tmp_path, sensors)
     assert [i.name for i in (door, space, lost)] == ["door", "disk_space", "device_lost"]
-    assert (door.poll_s, lost.poll_s, space.max_hold_s) == (0.1, 7, 90)
+    assert (door.poll_s, lost.poll_s, space.config.max_hold_s) == (0.1, 7, 90)
     assert interlocks_of(InterlocksConfig(), tmp_path, sensors) == []
