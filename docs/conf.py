@@ -45,7 +45,7 @@ _LINK = re.compile(r"\[([^\]]*)\]\(([^)#\s]+)(#[^)]*)?\)")
 _LISTED = re.compile(r"\]\((?!https?:|\.\./)([^)#\s]+\.(?:md|rst))\)")
 
 
-def _as_site(app: Any, page: str, source: list[str]) -> None:
+def as_site(app: Any, page: str, source: list[str]) -> None:
     """Turn a page of GitHub into one of the site."""
     folder = (DOCS / page).parent
     text = _MERMAID.sub("![The states of a run](pictures/states.svg)", source[0])
@@ -123,7 +123,7 @@ def setup(app: Any) -> None:
     from sphinx.application import Sphinx
 
     assert isinstance(app, Sphinx)
-    app.connect("source-read", _as_site)
+    app.connect("source-read", as_site)
     app.connect("sphinx-click-process-epilog", _as_typed)
     app.connect("build-finished", _add_index)
     app.registry.html_inline_math_renderers["mathml"] = (_draw_formula, None)

@@ -22,7 +22,7 @@ def conf():
 
 def as_site(conf, page):
     source = [(DOCS / f"{page}.md").read_text(encoding="utf-8")]
-    conf._as_site(None, page, source)
+    conf.as_site(None, page, source)
     return source[0]
 
 
@@ -52,21 +52,6 @@ def test_a_link_to_a_file_outside_of_the_documents_is_shown_as_its_name(conf):
     assert "](../" not in text
     assert "`bench/run/machine.py`" in text
     assert "](plugins.md)" in text
-
-
-def test_formulas_are_drawn_by_the_browser(conf):
-    class Translator:
-        body: list[str] = []  # noqa: RUF012
-
-    class Node:
-        def astext(self):
-            return r"\frac{1}{x^2}"
-
-    nodes = pytest.importorskip("docutils.nodes")
-    for draw in (conf._draw_formula, conf._draw_formula_block):
-        with pytest.raises(nodes.SkipNode):
-            draw(Translator, Node())
-    assert all("<mfrac>" in formula for formula in Translator.body)
 
 
 def test_decisions_and_measured_tables_are_left_out_of_the_search(conf):

@@ -5,11 +5,9 @@ from collections.abc import Sequence as List
 
 import pytest
 from flat import faults_of, read, steps_of
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sequences.flatten import MOST_STEPS, unfold
-from sequences.script import Flicker, Gates, LightStep, MoveStep, RecordStep, ReportStep, SolveStep, Step
+from sequences.script import Flicker, Gates, LightStep, MoveStep, RecordStep, ReportStep, Step
 
 
 def poses(script: List[Step]) -> list[tuple[int, str, dict[str, float]]]:
@@ -167,58 +165,6 @@ def test_a_grid_that_unfolds_without_end_is_stopped():
         f"steps: [{{repeat: {{poses: {{pan_deg: {axis}, tilt_deg: {axis}, roll_deg: {axis}}}, steps: [move]}}}}]\n"
     )
     assert re.search(f"1000000000000 poses; at most {MOST_STEPS}", fault)
-
-
-words = st.sampled_from(
-    [
-        "light",
-        "light: off",
-        "move",
-        "move: {pan_deg: 3}",
-        "move: {tilt_deg: 1, name: n}",
-        "settle",
-        "record",
-        "solve",
-        "report",
-    ]
-)
-
-
-@st.composite
-def scripts(draw, depth=2) -> str:
-    """Flow text of a list of steps, some of which make no sense."""
-    items = []
-    for _ in range(draw(st.integers(1, 4))):
-        if depth and draw(st.booleans()):
-            over = draw(
-                st.sampled_from(["times: 2", "poses: a", "poses: g", "poses: [{roll_deg: 1}]", "poses: zz"])
-            )
-            items.append(f"{{repeat: {{{over}, steps: {draw(scripts(depth=depth - 1))}}}}}")
-        else:
-            word = draw(words)
-            items.append(f"{{{word}}}" if ":" in word else word)
-    return f"[{', '.join(items)}]"
-
-
-@settings(max_examples=150)
-@given(scripts())
-def test_numbers_names_and_poses_hold_together_in_any_script(text):
-    document = read(
-        f"poses: {{a: [{{pan_deg: 1}}, {{name: n, pan_deg: 2}}], g: {{pan_deg: [1, 2]}}}}\nsteps: {text}\n"
-    )
-    script, faults = unfold(document)
-    assert (script, faults) == unfold(document)
-    assert [step.number for step in script] == list(range(1, len(script) + 1))
-    recorded = [step.pose for step in script if isinstance(step, RecordStep)]
-    assert [pose.index for pose in recorded] == list(range(1, len(recorded) + 1))
-    assert len({pose.name for pose in recorded}) == len(recorded)
-    angles = None
-    for step in script:
-        if isinstance(step, MoveStep):
-            angles = step.pose.angles_deg
-        if isinstance(step, RecordStep):
-            assert step.pose.angles_deg == angles
-    assert not any(isinstance(step, SolveStep) and step.distortion != ("k1", "k2") for step in script)
 
 
 def test_a_question_that_nobody_answers_ends_the_run_unless_the_sequence_says_otherwise():

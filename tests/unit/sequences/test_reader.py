@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pydantic import Field
 
 from sequences.errors import DocumentFaults
@@ -14,8 +12,6 @@ from sequences.reader import check_document, find_document, read_document
 from sequences.schema import Sequence
 from sequences.strict_model import StrictModel
 from sequences.yaml_text import MOST_BYTES
-
-SHIPPED = sorted((Path(__file__).parents[3] / "sequences").glob("*.yaml"))
 
 
 class Lamp(StrictModel):
@@ -220,28 +216,3 @@ def test_a_bare_name_finds_what_is_shipped_and_a_path_what_it_names(tmp_path, mo
         find_document("tree", tmp_path / "shipped")
     (tmp_path / "three").touch()
     assert find_document("three", tmp_path / "shipped") == Path("three")
-
-
-@st.composite
-def damaged(draw) -> bytes:
-    """A shipped sequence with some of its bytes cut, doubled or replaced."""
-    data = draw(st.sampled_from(SHIPPED)).read_bytes()
-    for _ in range(draw(st.integers(1, 4))):
-        at = draw(st.integers(0, len(data)))
-        end = min(len(data), at + draw(st.integers(0, 30)))
-        new = draw(
-            st.binary(max_size=4) | st.sampled_from([b"\n", b": ", b"- ", b"{", b"&a ", data[at:end] * 2])
-        )
-        data = data[:at] + new + data[end:]
-    return data
-
-
-@settings(max_examples=150)
-@given(damaged())
-def test_a_damaged_sequence_is_a_document_or_faults_with_places_never_anything_else(data):
-    reported = []
-    try:
-        assert check_document(data, "t.yaml", Sequence).text == data
-    except DocumentFaults as error:
-        reported = error.faults or ["none"]
-    assert all(str(fault).startswith(f"t.yaml:{fault.line}:{fault.column}: ") for fault in reported)

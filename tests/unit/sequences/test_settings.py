@@ -1,8 +1,6 @@
 """Values set otherwise than a file says: put where they belong, checked as the file is, refused where there is no place."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sequences.errors import DocumentFaults
 from sequences.reader import with_settings
@@ -48,25 +46,3 @@ def test_a_value_is_put_in_its_place_and_all_else_stays(path, text, expected):
 def test_what_has_no_place_or_is_no_value_is_a_fault_and_no_traceback(path, text):
     with pytest.raises(DocumentFaults):
         with_settings(b"a: 1\nlist: [{b: 2}]\n", "x.yaml", {path: text})
-
-
-texts = st.text(
-    st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=["Cs", "Cc", "Zl", "Zp"]),
-    max_size=20,
-)
-
-
-@given(
-    st.dictionaries(
-        st.from_regex(r"[a-z]{1,8}", fullmatch=True), texts | st.lists(texts, max_size=3), min_size=1
-    )
-)
-def test_what_is_written_reads_as_what_it_was(document):
-    import yaml
-
-    data = yaml.safe_dump(document, allow_unicode=True).encode()
-    before = parse(data, "x.yaml")
-    if before.faults:
-        return
-    after = read(with_settings(data, "x.yaml", {"zzzzzzzzz": "1"}))
-    assert after == {**before.value, "zzzzzzzzz": "1"}

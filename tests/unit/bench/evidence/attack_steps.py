@@ -1,6 +1,5 @@
 """Changes of a sealed run by somebody who has the bench's own key, and the verification that must find them."""
 
-import json
 import shutil
 from dataclasses import replace
 
@@ -10,7 +9,6 @@ from bench.again.run import check_run_again
 from bench.again.verdict import check_verdict
 from bench.evidence.verify import verify_folder
 from bench.measure.views_file import read_views
-from bench.plan.job import Job
 from calib.model.cause import Cause
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
@@ -168,20 +166,6 @@ def in_results(f):
 
     f.edit_results(change)
     f.tell_of_files()
-
-
-def everywhere(change):
-    """Change the text of every file but the pictures, and put right what follows. ``change`` gets bytes."""
-
-    def attack(f, job):
-        for path in f.folder.rglob("*"):
-            if path.is_file() and path.name not in {"journal.jsonl", "views.h5"}:
-                path.write_bytes(change(path.read_bytes()))
-        f.chain(json.loads(change(json.dumps(f.lines).encode())))
-        in_results(f)
-        rederive(f, Job.from_run_folder(f.folder, seed=job.seed, operator=job.operator))
-
-    return attack
 
 
 def a_cause(f):

@@ -10,7 +10,7 @@ from authorising import needs_ssh_keygen
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.base.errors import BenchError, EvidenceError
+from bench.base.errors import EvidenceError
 from bench.evidence.key_rotation import rotate
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
 from bench.evidence.keys import create_key, key_to_seal, load_key, require_usable, usable_key
@@ -283,18 +283,6 @@ def test_the_revoked_keys_beside_named_trusted_keys_are_used(tmp_path, key):
     (tmp_path / "lab" / "revoked_keys").write_text(RevokedKey(key.public_key, day(1), "lost").line + "\n")
     assert read_trust(tmp_path / "home").revoked == []
     assert len(read_trust(tmp_path / "home", allowed_signers=tmp_path / "lab" / "signers").revoked) == 1
-
-
-def test_a_list_that_is_no_list_is_refused(tmp_path):
-    path = tmp_path / "signers"
-    for data, why in (
-        (b"#" * (17 << 20), "more than 16777216 bytes"),
-        (b"\xff\xfe", "not text"),
-        (b"\0" * 9, "signers:1"),
-    ):
-        path.write_bytes(data)
-        with pytest.raises(BenchError, match=why):
-            read_signers(path)
 
 
 @given(st.text(max_size=200))

@@ -60,6 +60,7 @@ def test_views_rims_residuals_and_images_are_read_back_bit_for_bit(tmp_path_fact
         assert np.array_equal(kept.picture(), had.picture())
 
 
+@pytest.mark.slow
 def test_a_thousand_poses_keep_their_order(tmp_path):
     views = [made_view(str(number), 4, size=(2, 2)) for number in range(1, 1002)]
     path = tmp_path / "views.h5"

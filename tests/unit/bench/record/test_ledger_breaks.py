@@ -1,20 +1,13 @@
 """Breaks of the ledger: whatever is taken out of it is noticed by the next run, by a check, and by a certificate."""
 
-import tempfile
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from unittest import mock
 
 import pytest
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from journals import CLOCK
 
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.record.journal import Journal
-from bench.record.ledger import Ledger
 from bench.record.ledger_marks import MARK, RunFault, highest_counts
 
 
@@ -151,89 +144,6 @@ def test_a_break_keeps_the_highest_number_of_each_series(ledger):
     ledger.path.unlink()
     begin(ledger)
     assert highest_counts(ledger.entries()) == {"2026": 2}
-
-
-class LedgerStory(RuleBasedStateMachine):
-    """Runs, certificates and attacks in any order: what was taken out is noticed; nothing else is."""
-
-    @initialize()
-    def start(self):
-        self.folder = tempfile.TemporaryDirectory()
-        root = Path(self.folder.name)
-        self.now = datetime(2026, 3, 1, tzinfo=UTC)
-        self.ledger = Ledger(root / "home", SimpleNamespace(utc_now=self.tick, monotonic=self.seconds))
-        self.broken, self.numbers, self.open = False, [], []
-
-    def seconds(self):
-        return self.now.timestamp()
-
-    def lines(self):
-        return self.ledger.path.read_bytes().count(b"\n") if self.ledger.path.exists() else 0
-
-    def tick(self):
-        self.now += timedelta(seconds=1)
-        return self.now
-
-    def teardown(self):
-        self.folder.cleanup()
-
-    @rule()
-    def begin(self):
-        place = begin(self.ledger)
-        assert ("faults" in place) == self.broken
-        self.numbers.append(place["number"])
-        self.open.append(place["number"])
-
-    @precondition(lambda self: self.open)
-    @rule()
-    def end(self):
-        self.ledger.end(self.open.pop(), how="failed", folder=Path("/runs/none"))
-
-    @precondition(lambda self: not self.broken)
-    @rule()
-    def certificate(self):
-        self.ledger.append("certificate_issued")
-
-    @precondition(lambda self: self.broken)
-    @rule()
-    def explain(self):
-        self.ledger.explain("tried", "Ada")
-        self.broken = False
-
-    @precondition(lambda self: self.lines())
-    @rule(data=st.data())
-    def truncate(self, data):
-        cut(self.ledger, data.draw(st.integers(0, self.lines() - 1)))
-        self.broken = True
-
-    @precondition(lambda self: self.lines())
-    @rule()
-    def delete(self):
-        self.ledger.path.unlink()
-        self.broken = True
-
-    @precondition(lambda self: self.lines() and not self.broken)  # a second change may restore the byte
-    @rule()
-    def change_a_byte(self):
-        data = bytearray(self.ledger.path.read_bytes())
-        data[len(data) // 2] ^= 1
-        self.ledger.path.write_bytes(data)
-        self.broken = True
-
-    @invariant()
-    def a_break_is_seen(self):
-        if hasattr(self, "ledger"):
-            assert bool(self.ledger.breaks()[0]) == self.broken
-
-    @invariant()
-    def no_number_is_given_twice(self):
-        assert len(set(getattr(self, "numbers", []))) == len(getattr(self, "numbers", []))
-
-
-TestLedgerStory = LedgerStory.TestCase
-TestLedgerStory.settings = settings(
-    max_examples=30, stateful_step_count=12, deadline=None, suppress_health_check=list(HealthCheck)
-)
 
 
 # ---------------------------------------------------------------- a run whose disk was taken away

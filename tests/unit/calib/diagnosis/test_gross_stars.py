@@ -73,21 +73,6 @@ def test_a_view_of_mostly_wrong_stars_is_refused_by_name():
         find_gross_stars(views)
 
 
-def test_a_calibration_survives_five_per_cent_of_gross_errors():
-    rng = np.random.default_rng(4)
-    clean = Bench().views(rng, 0.05)
-    views = [
-        spoilt(view, rng.choice(len(view), len(view) // 20, replace=False), rng, 30.0, 300.0)[0]
-        for view in clean
-    ]
-    model = CalibrationOptions(model="spherical")
-    expected = calibrate(clean, model)
-    result = calibrate(views, model)
-    assert result.camera.fx == pytest.approx(expected.camera.fx, abs=expected.sigma["fx"])
-    assert result.sigma["fx"] > 0.95 * expected.sigma["fx"]
-    assert result.rms_px == pytest.approx(expected.rms_px, rel=0.05)
-
-
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_a_view_of_random_ids_is_refused_by_name(seed):

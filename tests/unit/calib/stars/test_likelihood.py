@@ -76,16 +76,6 @@ def test_light_that_falls_off_across_a_star_is_measured_and_shifts_it_little():
     assert np.abs(np.mean(likely.centres[steep] - centres[steep], axis=0)).max() < 0.02
 
 
-@pytest.mark.slow
-def test_covariances_are_about_right_if_edges_do_not_run_along_the_pixels():
-    image, centres, shape = stars(17.0, seed=3)
-    start = centres + 0.03 * np.random.default_rng(1).standard_normal(centres.shape)
-    likely = refine_by_likelihood(quantise(image), start, shape, TARGET)
-    off = likely.centres - centres
-    squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(likely.covariances), off) / 2
-    assert 0.6 < np.sqrt(squares.mean()) < 1.5
-
-
 @pytest.mark.parametrize(("values", "levels"), [(2, 2), (5, 5), (LEVELS, LEVELS), (1000, LEVELS)])
 def test_levels_keep_the_order_of_brightness(values, levels):
     image = np.random.default_rng(4).integers(0, values, (200, 300)) * 0.25
