@@ -86,10 +86,7 @@ def poses_on_disk(path):
     """Poses that the journal tells of, each seen to be whole."""
     entries, _ = read_journal(path / "journal.jsonl")
     captures = stored_captures(entries)
-    with (
-        RunFolder.open(path) as folder,
-        Journal.open(folder.journal_path, BenchClock()) as journal,
-    ):
+    with RunFolder.open(path) as folder, Journal.open(folder.journal_path, BenchClock()) as journal:
         notes = recover(folder, journal)
     assert (notes["missing"], notes["changed"]) == ([], [])
     assert len(notes["intact"]) == len(captures)

@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from tests.benchmarks.worlds import (
-    geometry,
-    judge,
-    polynomial,
-)
+from tests.benchmarks.worlds import geometry, judge, polynomial
 from tests.benchmarks.worlds.bench import NINE
 from tests.benchmarks.worlds.knowledge import Answer
 

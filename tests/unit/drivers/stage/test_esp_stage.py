@@ -4,14 +4,7 @@ import re
 
 import pytest
 
-from drivers.errors import (
-    DeviceRefused,
-    DriverError,
-    MoveFailed,
-    NotHomed,
-    OutsideLimits,
-    ReplyError,
-)
+from drivers.errors import DeviceRefused, DriverError, MoveFailed, NotHomed, OutsideLimits, ReplyError
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
 from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault

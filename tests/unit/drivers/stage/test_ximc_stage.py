@@ -8,14 +8,7 @@ import time
 
 import pytest
 
-from drivers.errors import (
-    DeviceRefused,
-    DriverError,
-    MoveFailed,
-    OutsideLimits,
-    ReplyError,
-    ReplyGarbled,
-)
+from drivers.errors import DeviceRefused, DriverError, MoveFailed, OutsideLimits, ReplyError, ReplyGarbled
 from drivers.stage import AxisLimits, ximc
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.ximc_protocol import check_data, move_data, request
