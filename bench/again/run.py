@@ -195,8 +195,8 @@ def _check_camera(path: Path, attempt: Attempt, findings: Findings) -> None:
     facts = attempt.stored.get("facts", {})
     of_file = {"serial": head.fields.get("serial_number"), "width": head.width, "height": head.height}
     for name, value in of_file.items():
-        if value and name in facts and facts[name] != value:
-            what = f"its head names the {name} {value}; the journal states {facts[name]}"
+        if value and name in facts and facts[name] != value:  # type: ignore[literal-required]
+            what = f"its head names the {name} {value}; the journal states {facts[name]}"  # type: ignore[literal-required]
             findings.fault("recording", str(attempt.stored["capture"]), what)
 
 

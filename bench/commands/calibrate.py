@@ -31,7 +31,7 @@ from bench.wording.target_words import words_for
 from bench.work.places import find_places
 from bench.work.recalculation import Counts, Recalculation
 from bench.work.results_folders import TABLE, ResultsFolders
-from bench.work.tasks import RunRow, Task
+from bench.work.tasks import DoneRow, RunRow, Task
 
 _SHOWN = ("fx", "cx", "cy", "r")
 _ROUNDING_SIGMA = 1e-6  # What other processors' arithmetic changes, in standard uncertainties
@@ -129,7 +129,7 @@ def run_text(row: RunRow) -> str:
     return f"{name}: {'; '.join([*parts, change_text(row)])}."
 
 
-def change_text(row: RunRow) -> str:
+def change_text(row: DoneRow) -> str:
     """Return the largest change against the run's own results, in the standard uncertainties that it stated."""
     before = row["before"]
     if before is None:

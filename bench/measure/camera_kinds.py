@@ -5,10 +5,10 @@ An event camera records the light's flicker; a frame camera takes images in stea
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.compiled_loops import STARS, compile_loops
 from bench.measure.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # a plan needs none of these
     from drivers.camera import EventCamera
     from drivers.camera.frames import FrameCamera
 
+Facts = TypeVar("Facts", RecordingFacts, FrameFacts)
 RECORDING_MARGIN_S = 1e-3
 """Time recorded in addition to the whole periods and the one that is cut at the ends, s."""
 
@@ -134,13 +135,13 @@ class EventKind:
         self, facts: RecordedData, step: RecordStep, frequency_hz: float, measurement: Measurement
     ) -> tuple[list[Gate], list[str]]:
         """Judge a recording by its numbers: stars, event rate, triggers, flicker and motion."""
-        recorded = RecordingFacts(**facts)
+        recorded = _recorded(RecordingFacts, facts)
         gates = recording_gates(recorded, step.gates, frequency_hz, measurement.facts, measurement.stars)
         return gates, rejection_reasons(recorded, step.gates)
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
         """Return what results state about a recording: events, triggers, duration and event rate."""
-        recorded = RecordingFacts(**facts)
+        recorded = _recorded(RecordingFacts, facts)
         events, duration_s = recorded.events, recorded.duration_s
         return {
             "events": events,
@@ -152,7 +153,7 @@ class EventKind:
 
     def conditions(self, accepted: Sequence[RecordedData]) -> CameraConditions:
         """Return the camera's state at the last of the accepted recordings, at least one; and the mean temperature."""
-        recorded = [RecordingFacts(**facts) for facts in accepted]
+        recorded = [_recorded(RecordingFacts, facts) for facts in accepted]
         last = recorded[-1]
         temperatures = [record.temperature_c for record in recorded if record.temperature_c is not None]
         return {
@@ -211,13 +212,13 @@ class FrameKind:
         """See `EventKind.judge`. Judges stars, saturation and motion."""
         from bench.measure.measure_frames import frame_gates, frame_rejection_reasons
 
-        recorded = FrameFacts(**facts)
+        recorded = _recorded(FrameFacts, facts)
         gates = frame_gates(recorded, step.gates, measurement)
         return gates, frame_rejection_reasons(recorded)
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
         """See `EventKind.counts`. Number of frames, and percentage of saturated pixels."""
-        recorded = FrameFacts(**facts)
+        recorded = _recorded(FrameFacts, facts)
         return {
             "pictures": recorded.frames,
             "bits": recorded.bits,
@@ -226,13 +227,18 @@ class FrameKind:
 
     def conditions(self, accepted: Sequence[RecordedData]) -> CameraConditions:
         """See `EventKind.conditions`. Frames per pose, bit depth, and the settings asked for."""
-        last = FrameFacts(**accepted[-1])
+        last = _recorded(FrameFacts, accepted[-1])
         conditions: CameraConditions = {"pictures": last.frames, "bits": last.bits}
         if self._settings.exposure is not None:
             conditions["exposure"] = self._settings.exposure
         if self._settings.gain is not None:
             conditions["gain"] = self._settings.gain
         return conditions
+
+
+def _recorded(facts_of: Callable[..., Facts], data: RecordedData) -> Facts:
+    """Return the facts of a recording as the driver of this kind of camera has them."""
+    return facts_of(**data)
 
 
 CameraKind = EventKind | FrameKind

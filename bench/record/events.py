@@ -26,15 +26,31 @@ UntilEnd = Literal["met", "unreachable", "at_most", "minutes", "failures", "no_p
 """How an ``until`` ended: its goals are met, or cannot be met; a bound was reached; or no pose is left to choose."""
 
 
-DeviceData = Mapping[str, Any]
-"""Identity of a device by field, as it states it itself: `drivers.camera.CameraIdentity`, `drivers.stage.AxisIdentity`,
-`drivers.light.LightIdentity`."""
+class DeviceData(TypedDict, total=False):
+    """Identity of a device, as it states it itself; ``name`` is that of an axis."""
+
+    name: str
+    maker: str
+    model: str
+    serial: str
+    firmware: str
+
+
+class CameraDeviceData(DeviceData, total=False):
+    """Identity of a camera (`drivers.camera.CameraIdentity`), and its lens as the station file states it."""
+
+    sensor: str
+    width: int
+    height: int
+    firmware_built: str
+    link_mbit_s: int
+    lens: str | None
 
 
 class Devices(TypedDict):
-    """Payload of ``devices``: identities, and the camera's settings as read back; ``lens`` is the station's word."""
+    """Payload of ``devices``: identities, and the camera's settings as read back."""
 
-    camera: DeviceData
+    camera: CameraDeviceData
     stage: Sequence[DeviceData]
     light: DeviceData
     camera_settings: Mapping[str, Any]
@@ -172,8 +188,28 @@ class LightSettingsData(TypedDict, total=False):
     sync_output: bool
 
 
-RecordedData = Mapping[str, Any]
-"""Facts of a recording by field: of `drivers.camera.RecordingFacts`, or of `drivers.camera.frames.FrameFacts`."""
+class RecordedData(TypedDict, total=False):
+    """Facts of a recording by field: of `drivers.camera.RecordingFacts`, or of `drivers.camera.frames.FrameFacts`."""
+
+    serial: str
+    model: str
+    width: int
+    height: int
+    bytes: int
+    complete: bool
+    duration_s: float
+    events: int
+    triggers: int
+    biases: Mapping[str, int]
+    filters: Mapping[str, bool]
+    rate_controller_in: int | None
+    rate_controller_out: int | None
+    temperature_c: float | None
+    illumination_lux: float | None
+    gaps: Sequence[str]
+    bits: int
+    frames: int
+    saturated_share: float
 
 
 class CaptureStored(TypedDict):

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 from bench.base.errors import BenchError
 from bench.record.coverage import Estimate, estimates, parameters_data
@@ -19,6 +19,7 @@ from bench.record.events import (
     DeviceData,
     Event,
     LightSettingsData,
+    UntilDecided,
     VerdictData,
     Written,
 )
@@ -110,20 +111,78 @@ def run_facts(history: History, folder: Path) -> IndexedRun:
     )
 
 
-RunDetails = Mapping[str, Any]
-"""What the table of runs has beyond the row of the index, by name; None if not known."""
+class RunConditions(TypedDict):
+    """Conditions of the accepted recordings of a run; None if not known."""
+
+    temperature_min_c: float | None
+    temperature_max_c: float | None
+    illumination_lux: float | None
+    light_frequency_hz: float | None
+    flicker_hz: float | None
+    events: int | None
+    recordings_bytes: int | None
+    stars: int
+
+
+class ResultFacts(TypedDict):
+    """What of a run only ``results.json`` states, and what is wrong with that file; None if not known."""
+
+    laboratory: str | None
+    collimator_serial: str | None
+    target_serial: str | None
+    passport_number: str | None
+    degrees_of_freedom: float | None
+    corner_expanded_px: float | None
+    conformity: Literal["PASS", "FAIL"] | None
+    results_fault: str | None
+
+
+class JournalDetails(RunConditions):
+    """What the journal states beyond the row of the index; None if not known."""
+
+    ended_utc: str | None
+    camera_type: str  # Maker and model, also of stages and light; may be empty
+    camera_sensor: str | None
+    camera_firmware: str | None
+    camera_lens: str | None
+    image_width_px: int | None
+    image_height_px: int | None
+    stage_types: Sequence[str]
+    stage_serials: Sequence[str]
+    light_type: str
+    light_serial: str | None
+    converged: bool | None
+    parameters: Sequence[str]
+    resumed: int
+    recordings_lost: int
+    poses_skipped: int
+    seed: int | None
+    software: Mapping[str, str]
+    sequence_sha256: str | None
+    station_sha256: str | None
+    passport_sha256: str | None
+    journal_head: str | None
+    deviations: Sequence[str]
+    untils: Sequence[UntilDecided]  # What each ``until`` decided, in order
+    # What a person did to the bench, the most probable first; an earlier version kept none.
+    results_sha256: str | None  # As the journal states it
+    warnings: Sequence[str]
+
+
+class RunDetails(JournalDetails, ResultFacts):
+    """What the table of runs has beyond the row of the index; None if not known."""
 
 
 def journal_details(
     history: History, entries: Sequence[Entry], parameters: Mapping[str, Estimate]
-) -> RunDetails:
+) -> JournalDetails:
     """Return the details of a run that its journal states; ``parameters`` are those of its `run_facts`."""
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
     stages = [identity for identity in history.devices.get("stage", ()) if isinstance(identity, Mapping)]
     hashes = history.started.get("sha256", {})
     return {
         "ended_utc": entries[-1].utc if history.ended and entries else None,
-        "camera_type": _type_of(camera),  # As those of stages and light, it may be empty
+        "camera_type": _type_of(camera),
         "camera_sensor": _text(camera.get("sensor")),
         "camera_firmware": _text(camera.get("firmware")),
         "camera_lens": _text(camera.get("lens")),
@@ -152,7 +211,7 @@ def journal_details(
     }
 
 
-def with_results(details: RunDetails, folder: Path) -> RunDetails:
+def with_results(details: JournalDetails, folder: Path) -> RunDetails:
     """Return the details of a run with those of its ``results.json``, if that is the file which the journal names."""
     results, fault = _results(details["results_sha256"], folder)
     try:
@@ -166,7 +225,7 @@ def with_results(details: RunDetails, folder: Path) -> RunDetails:
     return {**details, **facts, "warnings": warnings}
 
 
-def _conditions(history: History) -> RunDetails:
+def _conditions(history: History) -> RunConditions:
     warm, accepted = _reported(history, "temperature_c"), list(history.accepted().values())
     first = accepted[0].stored.get("light", {}) if accepted else LightSettingsData()
     checks = [attempt.checked for attempt in accepted if attempt.checked is not None]
@@ -183,7 +242,7 @@ def _conditions(history: History) -> RunDetails:
     }
 
 
-def _from_results(stored: Mapping[str, Any] | None, fault: str | None) -> RunDetails:
+def _from_results(stored: Mapping[str, Any] | None, fault: str | None) -> ResultFacts:
     results = _part(stored)
     run, calibration = _part(results.get("run")), _part(results.get("calibration"))
     corner = _part(_part(results.get("projection")).get("worst_corner"))
@@ -244,7 +303,7 @@ def _text(value: object) -> str | None:
     return None if value is None or value == "" else str(value)
 
 
-def _reported(history: History, name: str) -> list[float]:
+def _reported(history: History, name: Literal["temperature_c", "illumination_lux"]) -> list[float]:
     """Return a number that the camera reported with each accepted recording, where it did."""
     stored = [attempt.stored.get("facts", {}).get(name) for attempt in history.accepted().values()]
     return [float(t) for t in stored if isinstance(t, int | float) and math.isfinite(t)]
@@ -254,6 +313,6 @@ def _mean(known: Sequence[float]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _total(accepted: Sequence[Attempt], name: str) -> int | None:
+def _total(accepted: Sequence[Attempt], name: Literal["events", "bytes"]) -> int | None:
     known = [attempt.stored.get("facts", {}).get(name) for attempt in accepted]
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None

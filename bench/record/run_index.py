@@ -23,6 +23,7 @@ from bench.record.folder_lock import is_locked
 from bench.record.ledger_marks import KnownRun
 from bench.record.run_facts import (
     IndexedRun,
+    JournalDetails,
     RunDetails,
     journal_details,
     run_facts,
@@ -286,7 +287,7 @@ def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
     return _as_it_is_now(run), with_results(details, folder)
 
 
-def _read(folder: Path) -> tuple[IndexedRun, RunDetails]:
+def _read(folder: Path) -> tuple[IndexedRun, JournalDetails]:
     """Return what the index keeps of a run: its `run_facts`, and what else its journal states."""
     run = StoredRun(folder)
     try:

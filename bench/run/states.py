@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from bench.base.clock import Aborted
 from bench.base.errors import PreflightFailed
@@ -44,7 +43,7 @@ from sequences.script import (
     WaitStep,
 )
 
-OPTIONAL: Final = ("firmware_built", "link_mbit_s")
+OPTIONAL: Final[tuple[Literal["firmware_built", "link_mbit_s"], ...]] = ("firmware_built", "link_mbit_s")
 """Parts of a camera's identity that are left out where the camera does not state them."""
 NOT_STATED: Final = "not stated by the device"
 HOLD_POLL_S = 0.1  # A person does not notice it
@@ -66,14 +65,14 @@ def preflight(devices: Devices, job: Job) -> events.Devices:
     reasons += [f"light: {fault}" for fault in devices.light.faults()]
     reasons += camera_reasons
     require_no_faults(reasons, "Correct this and run again.")
-    stated = asdict(camera)
+    stated = as_data(camera, events.CameraDeviceData)
     for name in OPTIONAL:
         if not stated[name]:
             del stated[name]
     identities: events.Devices = {
         "camera": {**stated, "lens": job.station.camera.lens},
-        "stage": [asdict(axis) for axis in stage],
-        "light": asdict(light),
+        "stage": [as_data(axis, events.DeviceData) for axis in stage],
+        "light": as_data(light, events.DeviceData),
         "camera_settings": settings,
     }
     if job.camera_kind.name == "event":
@@ -207,7 +206,7 @@ class StateWork:
             measured_deg=before,
             measured_after_deg=after,
             light=as_data(light, events.LightSettingsData),
-            facts=asdict(facts),
+            facts=as_data(facts, events.RecordedData),
             **({"asleep_s": round(asleep_s, 1)} if asleep_s > _ASLEEP_S else {}),
         )
         self._begun = {capture.name: self._begin_measuring(step, attempt)}

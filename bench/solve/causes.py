@@ -111,7 +111,7 @@ def _seen_in(history: History, calibration: Calibration) -> _Seen:
     accepted, stars = list(history.accepted().values()), {view.name: view.n for view in calibration.views}
     poses = {each.pose_name: _Pose.of(stars.get(each.pose_name), each.measured) for each in accepted}
     stored = accepted[-1].stored if accepted else None
-    light, facts = (stored["light"], stored["facts"]) if stored else (LightSettingsData(), {})
+    light, facts = (stored["light"], stored["facts"]) if stored else (LightSettingsData(), RecordedData())
     return _Seen(poses, calibration.rms_px, light, _read_back(facts))
 
 

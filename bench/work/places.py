@@ -133,17 +133,23 @@ def file_system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL, and its path there. Listings are asked for anew each time."""
     try:
         from fsspec.core import url_to_fs
-
+    except ImportError as error:
+        raise _missing(url) from error
+    try:
         system, root = url_to_fs(url, use_listings_cache=False)
     except ImportError as error:
-        what = "What reads this URL is not installed."
-        raise UsageError(what, where=url, remedy="Install it: pip install 'starbench[cluster]'") from error
+        raise _missing(url) from error
     except ValueError as error:
         raise UsageError(
             f"This URL cannot be read: {error}.", where=url, remedy="Known is, for example, s3://."
         ) from error
     system.invalidate_cache()
     return system, root.rstrip("/")
+
+
+def _missing(url: str) -> UsageError:
+    what = "What reads this URL is not installed."
+    return UsageError(what, where=url, remedy="Install it: pip install 'starbench[cluster]'")
 
 
 @contextmanager

@@ -18,9 +18,13 @@ from bench.work.places import Place
 from bench.work.results_folders import ResultsFolders
 from bench.work.tasks import (
     ROW_FORMAT,
+    CalibratedData,
+    DoneRow,
+    FailedRow,
     FoundView,
     Listed,
     RunRow,
+    SkippedRow,
     Task,
     calibrate_found,
     find_view,
@@ -121,7 +125,8 @@ class Recalculation:
         if row is not None:
             self.counts.skipped += 1
             self._rows[number] = row
-            self._ended({**row, "skipped": True})  # which the table does not state
+            row_skipped: SkippedRow = {**row, "skipped": True}
+            self._ended(row_skipped)
             self._show()
             return
         name = self._folders.name_for(place.base_name, listed.key) if self._folders else place.base_name
@@ -156,9 +161,9 @@ class Recalculation:
         self._waiting.appendleft(Work(f"{run.number} fit", calibrate_found, arguments))
         run.found = {}
 
-    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: RunRow) -> None:
+    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: CalibratedData) -> None:
         name = run.name if self._folders is not None else None
-        row = {
+        row: DoneRow = {
             "schema": ROW_FORMAT,
             "folder": run.place.name,
             "state": "done",
@@ -184,7 +189,7 @@ class Recalculation:
         self._fail(run.number, run.place, end.failure, run.key)
 
     def _fail(self, number: int, place: Place, failure: Failure, key: str) -> None:
-        row = {
+        row: FailedRow = {
             "schema": ROW_FORMAT,
             "folder": place.name,
             "state": "failed",

@@ -17,7 +17,7 @@ from bench.evidence.seal import seal_folder
 from bench.record.run_folder import RESULTS
 from bench.record.storage import new_output, sha256_of, storage_errors, write_atomic, write_files
 from bench.work.kept_rows import Table, line_of
-from bench.work.tasks import RunRow
+from bench.work.tasks import DoneRow, RunRow
 from drivers.new_output import TEMPORARY, remove_unfinished
 
 TABLE = "recalculated.jsonl"
@@ -47,7 +47,7 @@ class ResultsFolders(Table):
             self.__exit__()
             raise
 
-    def done(self, place: str, key: str) -> RunRow | None:
+    def done(self, place: str, key: str) -> DoneRow | None:
         """Return the row of a calibration of this key; None if it is to be done, or its results have changed."""
         row: RunRow | None = self._rows.get(place)
         if row is None or row["state"] != "done" or row["key"] != key:
@@ -73,7 +73,7 @@ class ResultsFolders(Table):
         self._reserved.add(name)
         return name
 
-    def write(self, name: str, files: Mapping[str, bytes], row: RunRow) -> None:
+    def write(self, name: str, files: Mapping[str, bytes], row: DoneRow) -> None:
         """Write, seal and name a folder of results, and add its row."""
         with new_output(self.folder / name) as part:
             write_files(part, files)

@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Literal, TypedDict
 
 from bench.base.bounded_json import content_key
 from bench.base.errors import BenchError
-from bench.base.failure import FORESEEN
+from bench.base.failure import FORESEEN, FailureData
 from bench.measure.kept_views import KeptViews
 from bench.record.run_folder import JOURNAL, PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import sha256_of, storage_errors
@@ -72,9 +72,61 @@ class FoundView:
     kept: bool = False  # Whether the view was kept from an earlier calculation
 
 
-RunRow = Mapping[str, Any]
-"""Row of a run in the table (docs/extras/many/cluster.md): `_row` with ``state`` ``done``, or ``failed`` with its
-``failure``; ``key`` is empty if its recordings could not be listed, ``results`` None if no folder is written."""
+class BeforeData(TypedDict):
+    """What the run's own results state."""
+
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+
+
+class CalibratedData(TypedDict):
+    """What the table states about a calibration; U of a value is its k times its ``sigma``."""
+
+    model: str
+    views: int
+    stars: int  # Or points of a board
+    board: str | None
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+    coverage_factor: float
+    coverage_factors: Mapping[str, float]
+    rms_px: float
+    converged: bool
+    notes: Sequence[str]
+    left_out: Sequence[str]
+    before: BeforeData | None
+    results_sha256: str | None  # None if no folder is written
+
+
+class DoneRow(CalibratedData):
+    """Row of a run that was calibrated."""
+
+    schema: str
+    folder: str
+    state: Literal["done"]
+    key: str
+    results: str | None  # Name of the folder of its results; None if none is written
+
+
+class SkippedRow(DoneRow):
+    """Row of a run that was done before, as it is told; the table does not state it."""
+
+    skipped: Literal[True]
+
+
+class FailedRow(TypedDict):
+    """Row of a run that could not be calibrated."""
+
+    schema: str
+    folder: str
+    state: Literal["failed"]
+    key: str  # Empty if its recordings could not be listed
+    results: None
+    results_sha256: None
+    failure: FailureData
+
+
+RunRow = DoneRow | FailedRow
 
 
 @dataclass(frozen=True)
@@ -82,7 +134,7 @@ class Recalculated:
     """A calibration as files, and its row in the table."""
 
     files: Mapping[str, bytes]  # Contents by name within the folder; empty if no folder is written
-    row: RunRow
+    row: CalibratedData
 
 
 def list_recordings(place: Place, task: Task) -> Listed:
@@ -215,7 +267,7 @@ def _given(view_read: FoundView) -> View:
     return view_read.view
 
 
-def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> RunRow:
+def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> CalibratedData:
     """Return what the table states about a calibration."""
     solved = result.calibration
     before = _before(folder)
@@ -237,7 +289,7 @@ def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, 
     }
 
 
-def _before(folder: Path) -> Mapping[str, Mapping[str, float]] | None:
+def _before(folder: Path) -> BeforeData | None:
     """Return values and sigmas of the run's own results; None if there are none."""
     try:
         stored = StoredRun(folder).results_as_written["calibration"]
