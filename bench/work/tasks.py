@@ -15,7 +15,7 @@ from typing import Literal, TypedDict
 
 from bench.base.bounded_json import content_key
 from bench.base.errors import BenchError
-from bench.base.failure import FORESEEN, FailureData
+from bench.base.failure import FORESEEN
 from bench.measure.kept_views import KeptViews
 from bench.record.run_folder import JOURNAL, PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import sha256_of, storage_errors
@@ -123,7 +123,7 @@ class FailedRow(TypedDict):
     key: str  # Empty if its recordings could not be listed
     results: None
     results_sha256: None
-    failure: FailureData
+    failure: Mapping[str, str]  # A `Failure` by field
 
 
 RunRow = DoneRow | FailedRow
