@@ -197,7 +197,7 @@ def test_readings_of_other_views_are_refused(bench):
 
 
 def test_the_data_choose_the_lens_beside_a_certificate_too():
-    views = thinned(FisheyeBench().views(np.random.default_rng(7), 0.02), 3)
+    views = FisheyeBench().views(np.random.default_rng(7), 0.02)
     options = CalibrationOptions(distortion="auto", passport=Passport.of_radius(255.0, 0.05))
     assert replace(options, model="joint").compares_lenses
     assert any("model fisheye." in note for note in calibrate(views, options).notes)
