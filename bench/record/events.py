@@ -355,11 +355,11 @@ class UntilDecided(TypedDict):
 class Recovered(TypedDict):
     """Payload of ``recovered``: recordings by what a restart found; all but the first two are now in quarantine."""
 
-    intact: Sequence[str]
-    missing: Sequence[str]  # That the journal names and that do not exist
-    changed: Sequence[str]  # That differ from the journal
-    interrupted: Sequence[str]  # Incomplete ones
-    unnamed: Sequence[str]  # Complete ones that the journal does not name: the run was cut off before that
+    intact: list[str]
+    missing: list[str]  # That the journal names and that do not exist
+    changed: list[str]  # That differ from the journal
+    interrupted: list[str]  # Incomplete ones
+    unnamed: list[str]  # Complete ones that the journal does not name: the run was cut off before that
 
 
 class Asked(TypedDict):

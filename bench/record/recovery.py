@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from bench.record.journal import CAPTURES, Capture, Journal, stored_captures
 from bench.record.run_folder import PART, REPORT, RESULTS, RunFolder
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 EXPORTS = "exports"
 VIEWS = "views.h5"
 WIRE_LOG = "wire.jsonl"
+_State = Literal["intact", "changed", "interrupted", "unnamed"]
+"""Of a recording that is there after a crash: keys of `Recovered`."""
 
 
 def recover(folder: RunFolder, journal: Journal) -> Recovered:
@@ -23,7 +25,7 @@ def recover(folder: RunFolder, journal: Journal) -> Recovered:
     Recordings that are incomplete, changed or not in the journal go to ``quarantine/``; temporary files are deleted.
     """
     stored = stored_captures(journal.entries)
-    by_state: dict[str, list[str]] = {state: [] for state in ("intact", "changed", "interrupted", "unnamed")}
+    found: Recovered = {"intact": [], "missing": [], "changed": [], "interrupted": [], "unnamed": []}
     make_folder(folder.path / CAPTURES)
     with storage_errors(folder.path):
         for path in [p for p in folder.path.rglob("*") if is_temporary(p)]:
@@ -31,20 +33,15 @@ def recover(folder: RunFolder, journal: Journal) -> Recovered:
         for path in sorted((folder.path / CAPTURES).iterdir()):
             name = f"{CAPTURES}/{path.name}"
             state = _state_of(path, stored.get(name))
-            by_state[state].append(name)
+            found[state].append(name)
             if state != "intact":
                 folder.quarantine(path)
-    return {
-        "intact": by_state["intact"],
-        "missing": sorted(set(stored) - set(by_state["intact"]) - set(by_state["changed"])),
-        "changed": by_state["changed"],
-        "interrupted": by_state["interrupted"],
-        "unnamed": by_state["unnamed"],
-    }
+    found["missing"] = sorted(set(stored) - set(found["intact"]) - set(found["changed"]))
+    return found
 
 
-def _state_of(path: Path, capture: Capture | None) -> str:
-    """Return the state of a recording after a crash: a key of `Recovered`."""
+def _state_of(path: Path, capture: Capture | None) -> _State:
+    """Return the state of a recording after a crash."""
     if path.name.endswith(PART):
         return "interrupted"
     if capture is None:

@@ -155,8 +155,6 @@ def last_solve(planned: Plan) -> SolveStep | None:
 
 def largest_part(expected: Forecast, quantity: str) -> str:
     """Return the largest part of the uncertainty of a column of the budget, as text without a full stop."""
-    parts = {row.name: row.contribution.get(quantity, 0.0) for row in expected.budget_rows}
-    largest = max(parts, key=lambda name: parts[name])
-    return (
-        f"Its largest part is: {largest}, {number(SMALLEST_COVERAGE_FACTOR * parts[largest], 2)} px (k = 2)"
-    )
+    largest = max(expected.budget_rows, key=lambda row: row.contribution.get(quantity, 0.0))
+    part = SMALLEST_COVERAGE_FACTOR * largest.contribution.get(quantity, 0.0)
+    return f"Its largest part is: {largest.name}, {number(part, 2)} px (k = 2)"

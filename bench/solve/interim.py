@@ -138,10 +138,9 @@ def _largest_source(calibration: Calibration | None, goal: str) -> str:
     """Return the source that contributes most to what a goal limits, as text."""
     if calibration is None or not goal or not calibration.budget_rows:
         return ""
-    parts = {row.name: row.contribution.get(QUANTITIES[goal], 0.0) for row in calibration.budget_rows}
-    largest = max(parts, key=lambda source: parts[source])
-    part = calibration.coverage_factor * parts[largest]
-    return f"The largest part of {meaning_of_goal(goal)} comes from: {largest}, {number(part, 3)} px."
+    largest = max(calibration.budget_rows, key=lambda row: row.contribution.get(QUANTITIES[goal], 0.0))
+    part = calibration.coverage_factor * largest.contribution.get(QUANTITIES[goal], 0.0)
+    return f"The largest part of {meaning_of_goal(goal)} comes from: {largest.name}, {number(part, 3)} px."
 
 
 def _choose(
