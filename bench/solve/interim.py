@@ -140,7 +140,7 @@ def _largest_source(calibration: Calibration | None, goal: str) -> str:
         return ""
     largest = max(calibration.budget_rows, key=lambda row: row.contribution.get(QUANTITIES[goal], 0.0))
     part = calibration.coverage_factor * largest.contribution.get(QUANTITIES[goal], 0.0)
-    return f"The largest part of {meaning_of_goal(goal)} comes from: {largest.name}, {number(part, 3)} px."
+    return f"The largest part of {meaning_of_goal(goal)} comes from: {largest.name}, {number(part, 2)} px."
 
 
 def _choose(
