@@ -146,7 +146,7 @@ def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
     calibrated = calibration(4.5, 0.2, stars=1.0, disagreement_of_the_views=2.0)
     decision = decided(job, HistoryOf(range(1, 26)), calibrated)
     assert decision["ended"] == "at_most"
-    assert re.search(r"4\.5 px; .* 2 px\. 25 .*: disagreement of the views, 4 px", decision["why"])
+    assert re.search(r"4\.5 px; .* 2 px\. 25 .*: disagreement of the views, 4\.0 px", decision["why"])
     assert decided(job, HistoryOf([1, 2, 3], chosen=10), calibrated)["ended"] == "failures"
     assert "chosen" in decided(job, HistoryOf([1, 2, 3], chosen=9), calibrated)
     assert decided(job, HistoryOf([1, 2, 3], worked_s=1200.0), calibrated)["ended"] == "minutes"
