@@ -5,25 +5,32 @@ import resource
 import struct
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from imported import import_events
 
+from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats import library_process
-from drivers.errors import CameraSoftwareMissing, RecordingFileError
+from drivers.camera.formats.event_conversion import convert
+from drivers.camera.raw_file import RawFile
+from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingFileError
 
 READER = "bench.extras.event_files.aedat4:open_aedat4"
 NONE, LZ4, ZSTD = 0, 1, 3
-XML = (
-    '<dv version="2.0"><node name="outInfo"><node name="0"><attr key="typeIdentifier">EVTS</attr>'
-    '<node name="info"><attr key="sizeX">640</attr><attr key="sizeY">480</attr></node></node></node></dv>'
-)
 MAGIC = b"#!AER-DAT4.0\r\n"
+BEGIN_US = 1_700_000_000_000_000
 
 
-def header(compression, text=XML):
-    """A flatbuffer: root, vtable of three fields, table, text."""
+def header(compression, *sizes):
+    """A flatbuffer: root, vtable of three fields, table, text; with a stream of events of each of these sizes."""
+    streams = "".join(
+        f'<node name="{number}"><attr key="typeIdentifier">EVTS</attr><node name="info">'
+        f'<attr key="sizeX">{width}</attr><attr key="sizeY">{height}</attr></node></node>'
+        for number, (width, height) in enumerate(sizes or [(640, 480)])
+    )
+    text = f'<dv version="2.0"><node name="outInfo">{streams}</node></dv>'
     vtable = struct.pack("<HHHHH", 10, 20, 4, 12, 8) + b"\0\0"
     table = struct.pack("<iiI", 12, compression, 12) + struct.pack("<q", -1)
     body = struct.pack("<I", 16) + vtable + table + struct.pack("<I", len(text)) + text.encode() + b"\0"
@@ -37,7 +44,7 @@ def packet(payload, stream=0):
 def events_packet(n):
     """A size prefixed flatbuffer of n events."""
     rows = np.zeros(n, [("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("on", "?"), ("pad", "V3")])
-    rows["t"], rows["x"], rows["on"] = 1_700_000_000_000_000 + np.arange(n), np.arange(n) % 640, True
+    rows["t"], rows["x"], rows["on"] = BEGIN_US + np.arange(n), np.arange(n) % 640, True
     vtable = struct.pack("<HHH", 6, 8, 4) + b"\0\0"
     vector = struct.pack("<I", n) + rows.tobytes()
     # prefix, root, identifier, vtable, table, padding, vector: its elements lie at a multiple of 8
@@ -72,6 +79,41 @@ def test_events_of_every_compression_are_read(written, kind):
     compression, frame = FRAMES[kind]
     imported = import_events(written(compression, frame(events_packet(3000)), frame(events_packet(2000))))
     assert len(imported.events.t) == 5000
+
+
+def test_one_of_two_streams_is_chosen_and_has_its_own_size(tmp_path):
+    pytest.importorskip("aedat")
+    path = tmp_path / "a.aedat4"
+    packets = (packet(events_packet(n), stream) for stream, n in enumerate((30, 20)))
+    path.write_bytes(header(NONE, (640, 480), (346, 260)) + b"".join(packets))
+    with pytest.raises(NotARecording, match="2 streams of events"):
+        import_events(path)
+    streams = [import_events(path, ReadingChoices(stream=name)) for name in ("0", "1")]
+    assert [(stream.width, len(stream.events.t)) for stream in streams] == [(640, 30), (346, 20)]
+
+
+def test_the_date_stands_in_a_converted_recording_and_nothing_else(written, tmp_path):
+    pytest.importorskip("aedat")
+    convert(written(NONE, events_packet(200)), tmp_path / "a.raw", "raw")
+    recording = RawFile.open(tmp_path / "a.raw")
+    assert recording.header == {
+        "date": "2023-11-14 22:13:20",
+        "time_origin_us": str(BEGIN_US - 1_000_000),
+        "evt": "3.0",
+        "format": "EVT3;height=480;width=640",
+        "geometry": "640x480",
+        "converted_from": "a.aedat4; not the bytes of a camera",
+    }
+    assert recording.read()[0].t.tolist() == list(range(1_000_000, 1_000_200))
+
+
+@pytest.mark.parametrize("length", [15, 100, 400, 1500, 4000])
+def test_a_file_that_was_cut_off_ends_in_one_message_or_whole_events(written, length):
+    pytest.importorskip("aedat")
+    path = written(NONE, events_packet(100), events_packet(200))
+    path.write_bytes(path.read_bytes()[:length])
+    with suppress(RecordingFileError):
+        assert len(import_events(path).events.t) in {0, 100}
 
 
 def zeros_frame(size):

@@ -19,27 +19,23 @@ ORIGIN_US = 1_700_000_000_000_000
 # ------------------------------------------------------------ AEDAT4
 
 
-def aedat4_file(path, rows, edges=()):
+def test_aedat4_written_by_dv_processing(tmp_path):
+    pytest.importorskip("aedat")
     dv = pytest.importorskip("dv_processing")
     config = dv.io.MonoCameraWriter.Config("DVX_1")
     config.addEventStream((640, 480))
     config.addTriggerStream()
+    path, rows = tmp_path / "a.aedat4", some_events(2000)
     writer = dv.io.MonoCameraWriter(str(path), config)
     store = dv.EventStore()
     for row in rows:
         store.push_back(int(row["t"]) + ORIGIN_US, int(row["x"]), int(row["y"]), bool(row["on"]))
     writer.writeEvents(store)
-    kinds = {1: dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE, 0: dv.TriggerType.EXTERNAL_SIGNAL_FALLING_EDGE}
-    for t, value in edges:
-        writer.writeTrigger(dv.Trigger(t + ORIGIN_US, kinds[value]))
+    for t, edge in ((100, "RISING"), (300, "FALLING")):
+        writer.writeTrigger(
+            dv.Trigger(t + ORIGIN_US, getattr(dv.TriggerType, f"EXTERNAL_SIGNAL_{edge}_EDGE"))
+        )
     del writer
-
-
-def test_aedat4_written_by_dv_processing(tmp_path):
-    pytest.importorskip("aedat")
-    rows = some_events(2000)
-    path = tmp_path / "a.aedat4"
-    aedat4_file(path, rows, [(100, 1), (300, 0)])
     imported = import_events(path)
     assert (imported.width, imported.height) == (640, 480)
     origin_us = int(imported.header["time_origin_us"])
@@ -142,39 +138,6 @@ def test_a_bag_without_definitions_of_unknown_messages_is_not_called_damaged(tmp
         import_events(without_definitions(whole))
 
 
-def test_the_date_of_aedat4_stands_in_a_converted_recording_and_nothing_else(tmp_path):
-    pytest.importorskip("aedat")
-    aedat4_file(tmp_path / "a.aedat4", some_events(200), [(100, 1)])
-    convert(tmp_path / "a.aedat4", tmp_path / "a.raw", "raw")
-    header = RawFile.open(tmp_path / "a.raw").header
-    assert header == {
-        "date": "2023-11-14 22:13:20",
-        "time_origin_us": str(ORIGIN_US - 1_000_000),
-        "evt": "3.0",
-        "format": "EVT3;height=480;width=640",
-        "geometry": "640x480",
-        "converted_from": "a.aedat4; not the bytes of a camera",
-    }
-
-
-def test_one_of_two_streams_of_aedat4_is_chosen(tmp_path):
-    dv = pytest.importorskip("dv_processing")
-    pytest.importorskip("aedat")
-    left = dv.io.MonoCameraWriter.EventOnlyConfig("LEFT_1", (640, 480))
-    right = dv.io.MonoCameraWriter.EventOnlyConfig("RIGHT_2", (346, 260))
-    writer = dv.io.StereoCameraWriter(str(tmp_path / "a.aedat4"), left, right)
-    for side, n in ((writer.left, 30), (writer.right, 20)):
-        store = dv.EventStore()
-        for k in range(n):
-            store.push_back(ORIGIN_US + k, k, k, True)
-        side.writeEvents(store)
-    del writer, side
-    with pytest.raises(NotARecording, match="2 streams of events"):
-        import_events(tmp_path / "a.aedat4")
-    streams = [import_events(tmp_path / "a.aedat4", ReadingChoices(stream=name)) for name in ("0", "1")]
-    assert [(stream.width, len(stream.events.t)) for stream in streams] == [(640, 30), (346, 20)]
-
-
 def test_the_older_name_of_event_packets_is_read(tmp_path):
     rows = some_events(500)
     path = bag(tmp_path / "a.bag", 1, rows, "evt21", name="event_array_msgs/msg/EventArray")
@@ -262,15 +225,11 @@ def test_hostile_files_are_refused_with_one_message(tmp_path, name):
     assert caught.value.remedy
 
 
-@pytest.mark.parametrize("make", ["dat", "aedat4", "bag"])
+@pytest.mark.parametrize("make", ["dat", "bag"])
 def test_files_cut_off_anywhere_end_in_one_message_or_whole_events(tmp_path, make):
-    pytest.importorskip("rosbags")
-    pytest.importorskip("aedat")
     rows, path = some_events(300), tmp_path / f"a.{make}"
     if make == "dat":
         path.write_bytes(dat_rows(rows))
-    elif make == "aedat4":
-        aedat4_file(path, rows)
     else:
         bag(path, 1, rows, "evt21")
     whole = path.read_bytes()
