@@ -8,17 +8,7 @@ from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
 from drivers.stage import AxisLimits
 from drivers.stage import thorlabs_messages as apt
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
-from simulators.stages.axis_motion import AxisModel, Mechanics
-from simulators.stages.thorlabs_apt import AptController
-from tests.hil.direct_stages import (
-    K10CR1_COUNTS_PER_DEG,
-    LIMITS,
-    DirectStage,
-    VirtualClock,
-    direct_line,
-    rig_of,
-    stop_in_mid_move,
-)
+from tests.hil.direct_stages import K10CR1_COUNTS_PER_DEG, LIMITS, DirectStage, rig_of, stop_in_mid_move
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -29,29 +19,27 @@ def rig(request) -> DirectStage:
 
 
 def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None:
-    clock = VirtualClock()
-    mechanics = Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4)
-    model = AxisModel(mechanics, "55000123", speed_deg_s=10.0, acceleration_deg_s2=5.0)
-    controller = AptController(model, clock.monotonic)
-    line = direct_line(controller, clock)
-    axis = ThorlabsAxis(
-        name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
-    )
-    stage = ThorlabsStage([line], [axis], clock=clock)
-    stage.close()
-    numbers = {int.from_bytes(sent[:2], "little") for sent in line.sent}
+    rig = rig_of("k10cr1")
+    numbers = {int.from_bytes(sent[:2], "little") for sent in rig.line.sent}
     assert numbers.isdisjoint({apt.HOME, apt.MOVE_TO, apt.SET_ENABLED, 0x0448, 0x046A, 0x0457})
     assert apt.SET_SPEED in numbers
     for changes, error in (
         ({"counts_per_deg": 1919.64}, OutsideLimits),
-        ({"serial": "55000124"}, WrongDevice),
+        ({"serial": "27000124"}, WrongDevice),
         ({"limits": AxisLimits(-15.0, 15.0, 1e9, 10.0)}, OutsideLimits),
     ):
+        axis = {
+            "name": "pan",
+            "port": "",
+            "counts_per_deg": K10CR1_COUNTS_PER_DEG,
+            "limits": LIMITS,
+            **changes,
+        }
         with pytest.raises(error):
-            ThorlabsStage([line], [ThorlabsAxis(**({**vars(axis), **changes}))], clock=clock)
-    controller.model = replace(model, name="PPC001")
+            ThorlabsStage([rig.line], [ThorlabsAxis(**axis)], clock=rig.line.clock)
+    rig.controller.model = replace(rig.controller.model, name="PPC001")
     with pytest.raises(DeviceRefused, match="PPC001"):
-        ThorlabsStage([line], [axis], clock=clock)
+        rig.reopen()
 
 
 def test_a_controller_without_its_motor_says_so_when_homing_does_not_begin(rig) -> None:
