@@ -36,6 +36,12 @@ def rms_length(vectors: Array) -> float:
     return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
 
 
+def product_sigma(first: tuple[float, float], other: tuple[float, float]) -> float:
+    """Return the 1-sigma of the product of two independent quantities, each a value and its 1-sigma (Goodman, 1960)."""
+    (a, a_sigma), (b, b_sigma) = first, other
+    return float(np.linalg.norm([a * b_sigma, a_sigma * b, a_sigma * b_sigma]))
+
+
 def median(values: Array) -> float:
     """Return the median, NaN with a NaN or no number (`numpy.median` warns without one).
 

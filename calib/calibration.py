@@ -304,10 +304,8 @@ class Calibration:
         values, sigma, k = self.values, self.sigma, self.k
         first = [*self.camera.parameter_names, "r"]
         names = sorted(self.parameter_names, key=lambda name: name not in first)
-        points, ended = (
-            sum(view.n for view in self.views),
-            "converged" if self.converged else "did not converge",
-        )
+        points = sum(view.n for view in self.views)
+        ended = "converged" if self.converged else "did not converge"
         head = f"Calibration ({self.model}): {len(self.views)} views, {points} points, rms {self.rms_px:.4f} px, "
         rows = [ParameterRow(name, values[name], sigma[name], k[name]) for name in names]
         return f"{head}{ended} in {self.iterations} steps", rows, self.notes

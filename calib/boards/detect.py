@@ -13,12 +13,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
+from calib.arrays import AnyArray, Array, Array32, Bytes
 from calib.boards.board import Board, Kind
 from calib.boards.discs import DiscFit, fit_discs
 from calib.boards.lens_map import fit_lens_map
 from calib.errors import TargetNotFound, placed
-from calib.events.grey_image import require_grey_plane, to_uint8
+from calib.events.grey_image import to_uint8
 from calib.stars.centring import (
     SYMMETRY_REACH,
     SymmetryFit,
@@ -27,7 +27,7 @@ from calib.stars.centring import (
     symmetry_samples,
     variance_factor,
 )
-from calib.stars.grid_map import LocalMap, without_outliers
+from calib.stars.grid_map import LocalMap, expanded, without_outliers
 from calib.view import View
 
 #: Blur before the points are located, px: it lowers the noise of single pixels.
@@ -57,7 +57,6 @@ _SOFT_PX, _EDGE_BLUR_PX = 8.0, 1.5
 _LEAST_CONTRAST, _SHARPEST = 30.0, 0.002
 #: In event images, blur leaves edges sharp and makes the bright squares too wide: by these widths in turn, px.
 _TOO_WIDE_PX = (5, 9, 15, 23)
-_UNCLEAR = "Check focus, reflections and shadows; use a larger board, or come nearer."
 _SECTORS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
@@ -69,38 +68,28 @@ def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
     Raises TargetNotFound: If the image does not show the whole board once; says what it shows instead.
     """
     with placed(f"view {name}"):
-        require_grey_plane(image)
         plain = np.nan_to_num(np.asarray(image, np.float32))
         grey = to_uint8(plain)
-        coarse = find_board(grey, board)
+        coarse = find_points(grey, board)
+        if coarse is None:
+            raise TargetNotFound(f"No {board.words} was found.", remedy=_remedy(grey, board))
         _refuse_second(grey, coarse, board)
-        return located_view(plain, coarse, board, np.arange(len(coarse)), name, _UNCLEAR)
-
-
-def located_view(image: Array32, coarse: Array, board: Board, ids: Ints, name: str, remedy: str) -> View:
-    """Return the points of `locate_points` as a view; if too few are located, it is refused with a remedy."""
-    points, covariances = locate_points(image, coarse, board, ids)
-    kept = np.asarray(np.isfinite(points).all(axis=1))
-    if kept.mean() < _LEAST_SHARE:
-        what = f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located."
-        raise TargetNotFound(what, remedy=remedy)
-    size, ids = (image.shape[1], image.shape[0]), ids[kept]
-    return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
-
-
-def find_board(grey: Bytes, board: Board) -> Array:
-    """Find a board to about half a pixel: (N, 2) image points, px, row by row; else say what was found instead.
-
-    Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
-    """
-    view = find_points(grey, board)
-    if view is None:
-        raise TargetNotFound(f"No {board.words} was found.", remedy=_remedy(grey, board))
-    return view
+        points, covariances = locate_points(plain, coarse, board)
+        ids = np.flatnonzero(np.isfinite(points).all(axis=1))
+        if len(ids) < _LEAST_SHARE * len(points):
+            raise TargetNotFound(
+                f"Only {len(ids)} of {len(points)} points of the board could be located.",
+                remedy="Check focus, reflections and shadows; use a larger board, or come nearer.",
+            )
+        size = (image.shape[1], image.shape[0])
+        return View(name, size, ids, points[ids], board.points_mm[ids], covariances[ids])
 
 
 def find_points(grey: Bytes, board: Board) -> Array | None:
-    """Return (N, 2) points of the board, bright on dark or dark on bright, or None."""
+    """Return (N, 2) points, px, of the board, row by row, to about half a pixel; bright on dark or dark on bright.
+
+    Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``. None without a board.
+    """
     size = (board.columns, board.rows)
     if board.kind == "checkerboard":  # its finder takes either contrast
         tried = iter([cv2.findChessboardCornersSB(grey, size, flags=_SECTORS)])
@@ -110,9 +99,7 @@ def find_points(grey: Bytes, board: Board) -> Array | None:
         both = (grey, np.asarray(255 - grey, np.uint8))
         tried = (cv2.findCirclesGrid(shown, size, flags=flags, blobDetector=blobs) for shown in both)
     patterns = (np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok)
-    return next(
-        (points for points in patterns if board.kind == "checkerboard" or _is_even(points, board)), None
-    )
+    return next((seen for seen in patterns if board.kind == "checkerboard" or _is_even(seen, board)), None)
 
 
 def _is_even(points: Array, board: Board) -> bool:
@@ -143,20 +130,19 @@ def _blobs(shape: tuple[int, ...]) -> Any:
     return cv2.SimpleBlobDetector.create(chosen)
 
 
-def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tuple[Array, Array]:
+def locate_points(image: Array32, coarse: Array, board: Board) -> tuple[Array, Array]:
     """Locate points of a board: circles by their edges, others by symmetry (Schöps et al., 2020).
 
-    From ``coarse``, (N, 2) px, of ``ids``, to (N, 2) px, nan where it failed, and covariances, px^2. Both follow the
-    curvature of perspective and distortion.
+    From ``coarse``, (N, 2) px, to (N, 2) px, nan where it failed, and covariances, px^2. Both follow the curvature of
+    perspective and distortion.
     """
-    smoothed = smooth(image, _BLUR_PX)
-    nodes = board.nodes[ids]
+    smoothed, nodes = smooth(image, _BLUR_PX), board.nodes
     grid, size = nodes.astype(float), (image.shape[1], image.shape[0])
     points, good = coarse, np.ones(len(coarse), np.bool_)
     covariances = np.full((len(points), 2, 2), np.nan)
     for step_px in _STEPS_PX:
-        fitted = fit_lens_map(grid[good], points[good], size)
-        fit = _located(smoothed, points, board, fitted.local_map(grid), step_px)
+        local_map = expanded(fit_lens_map(grid[good], points[good], size).apply, grid)
+        fit = _located(smoothed, points, board, local_map, step_px)
         good = fit.converged
         if np.count_nonzero(good) < _LEAST_SHARE * len(good):
             return np.full_like(points, np.nan), covariances
@@ -173,7 +159,7 @@ def _located(
 ) -> SymmetryFit | DiscFit:
     """Locate points of a board once, from (N, 2) px on, with the map around each."""
     pitch = local_map.pitch_px
-    if board.kind in ("circles", "asymmetric-circles"):
+    if board.kind != "checkerboard":
         # Every second place of the lattice of an asymmetric grid is free: its circles are farther apart.
         cell = SYMMETRY_REACH * (1.0 if board.kind == "circles" else np.sqrt(2.0))
         return fit_discs(smoothed, points, local_map, cell, _MOST_MOVE_PITCHES * pitch)

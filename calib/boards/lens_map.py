@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from calib.arrays import Array
 from calib.model.homography import apply_homography, fit_homography
-from calib.stars.grid_map import GridMap, LocalMap, expanded, fit_grid_map
+from calib.stars.grid_map import GridMap, fit_grid_map
 
 #: Radial terms: r^2, r^4 and r^6 of the distorted radius, in half diagonals of the image.
 _TERMS = 3
@@ -36,10 +36,6 @@ class LensMap(NamedTuple):
             straight, slope = _straight(at, self.radial)
             at = at + np.linalg.solve(slope, (ideal - straight)[..., None])[..., 0]
         return self.middle + self.unit_px * at
-
-    def local_map(self, grid: Array) -> LocalMap:
-        """Expand to second order around (N, 2) pitches."""
-        return expanded(self.apply, grid)
 
 
 def fit_lens_map(grid: Array, points: Array, image_size: tuple[int, int]) -> LensMap:

@@ -89,16 +89,12 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
         else:
             same.append(view)
     sentences = [_same_words(group) for group in groups if len(group) > 1]
-    alike = [
-        words
-        for view_group, other in combinations(groups, 2)
-        if (words := _alike_words(view_group[0], other[0]))
-    ]
+    pairs = combinations([group[0] for group in groups], 2)
+    alike = list(filter(None, (_alike_words(*pair) for pair in pairs)))
     more = len(alike) - _MOST_NAMED
-    left = (
-        [f"{more} more pairs of views are nearly the same measurement."] if more > 1 else alike[_MOST_NAMED:]
-    )
-    return [*sentences, *alike[:_MOST_NAMED], *left]
+    if more > 1:
+        alike[_MOST_NAMED:] = [f"{more} more pairs of views are nearly the same measurement."]
+    return [*sentences, *alike]
 
 
 def _apart(first: View, other: View) -> tuple[int, float]:
@@ -122,15 +118,15 @@ def _same_words(group: Sequence[View]) -> str:
 def _alike_words(first: View, other: View) -> str:
     """Return a sentence on two views that are too much alike for two recordings; empty if they are not."""
     common, rms = _apart(first, other)
-    both = f"Views {first.name} and {other.name}"
     if rms > _NEAR_PX:
         return ""
     noise = float(np.fmin(noise_px(first), noise_px(other)))
     if rms / np.sqrt(2.0) >= _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
         return ""
     return (
-        f"{both} are nearly the same measurement: their {common} common points differ by {rms:.2g} px rms, less than"
-        f" two recordings would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
+        f"Views {first.name} and {other.name} are nearly the same measurement: their {common} common points differ by"
+        f" {rms:.2g} px rms, less than two recordings would ({1.4142 * noise:.2g} px per axis). Check that one"
+        " recording was not used twice."
     )
 
 

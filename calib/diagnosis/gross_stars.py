@@ -36,9 +36,7 @@ class GrossStars:
 
     view: str
     wrong: Bools  # (N,) bool, which of the N stars of the view have a gross error
-    distances_px: (
-        Array  # (K,) float64, px, distance of those that neighbours contradict from where they predict it
-    )
+    distances_px: Array  # (K,) px, distance of those that neighbours contradict from where they predict it
     outside: int = 0  # How many of them lie outside of the image
     fault: str = ""  # Why none of the view's stars can be used, a sentence
 
@@ -47,29 +45,19 @@ class GrossStars:
         """Names the view, the number of stars and their distances; empty if there are none."""
         if self.fault:
             return f"View {self.view} was left out. {self.fault}"
-        return " ".join(filter(None, (self._far, self._outside)))
+        said = []
+        if count := len(self.distances_px):
+            ends = self.distances_px.min(), self.distances_px.max()
+            span = " to ".join(dict.fromkeys(f"{float(f'{end:.2g}'):g}" for end in ends))
+            far = f"{span} px from where the neighbours predict {'it' if count == 1 else 'them'}"
+            said.append(self._left_out(count, far))
+        if self.outside:
+            said.append(self._left_out(self.outside, "outside of the image"))
+        return " ".join(said)
 
-    @property
-    def _outside(self) -> str:
-        if not self.outside:
-            return ""
-        lie, they = ("lies", "it was") if self.outside == 1 else ("lie", "they were")
-        which = f"{self.outside} of {len(self.wrong)} points in view {self.view}"
-        return f"{which} {lie} outside of the image; {they} left out."
-
-    @property
-    def _far(self) -> str:
-        count = len(self.distances_px)
-        if not count:
-            return ""
-        least, most = f"{self.distances_px.min():.2g}", f"{self.distances_px.max():.2g}"
-        least, most = (f"{float(number):g}" for number in (least, most))
+    def _left_out(self, count: int, where: str) -> str:
         lie, they = ("lies", "it was") if count == 1 else ("lie", "they were")
-        which = f"{least}" if least == most else f"{least} to {most}"
-        return (
-            f"{count} of {len(self.wrong)} points in view {self.view} {lie} {which} px from where the neighbours "
-            f"predict {'it' if count == 1 else 'them'}; {they} left out."
-        )
+        return f"{count} of {len(self.wrong)} points in view {self.view} {lie} {where}; {they} left out."
 
 
 def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
@@ -145,10 +133,9 @@ def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossSt
 
 def noise_px(view: View) -> float:
     """Return the 1-sigma per axis, px, that neighbouring stars show (`local_sigma_px`); NaN for fewer than 8 stars."""
-    return view.remembered("noise", _noise_px)
 
+    def noise(seen: View) -> float:
+        mapped = apply_homography(rough_homography(seen), seen.target_mm)
+        return local_sigma_px(seen.target_mm, mapped, seen.points_px, neighbours_of(seen))
 
-def _noise_px(view: View) -> float:
-    """Return the noise of a view, as `noise_px`."""
-    mapped = apply_homography(rough_homography(view), view.target_mm)
-    return local_sigma_px(view.target_mm, mapped, view.points_px, neighbours_of(view))
+    return view.remembered("noise", noise)

@@ -73,7 +73,10 @@ class HandEyeCheck:
         """What explains rotations and readings, the most probable first; none if they agree."""
         if self.none_fits or self.excess_arcsec > _LOOSEST_ARCSEC:
             return (Cause(kinds.NONE_FITS, DECISIVE, self.rms_arcsec / 3600.0, unit="degrees"),)
-        causes = [*self._readings(), *map(self._of, self.found), *self._scales(), *self._scatter()]
+        causes = [*map(self._of, self.found), *self._scales(), *self._scatter()]
+        if other := self.other:
+            named = Cause(other.kind, LARGEST_EVIDENCE, other.value, axis=other.axis, beside=self.beside)
+            causes.insert(0, named)
         return tuple(sorted(causes, key=lambda cause: -cause.evidence))
 
     @property
@@ -100,12 +103,6 @@ class HandEyeCheck:
             *filter(None, (_OF_VERDICT.get(self.verdict), self._ratios())),
         )
 
-    def _readings(self) -> Iterator[Cause]:
-        if self.other is not None:
-            yield Cause(
-                self.other.kind, LARGEST_EVIDENCE, self.other.value, axis=self.other.axis, beside=self.beside
-            )
-
     def _of(self, found: Found) -> Cause:
         suspect, one = found.suspect, found.suspect.kind == kinds.ONE_POSE
         return Cause(
@@ -130,10 +127,8 @@ class HandEyeCheck:
 
     def _scales(self) -> Iterator[Cause]:
         """Yield the axes whose scale no parallax imitates; one for all that have the same."""
-        values, spread = (
-            list(self.scale.values()),
-            math.hypot(*self.scale_sigma.values(), self.stated_scale_sigma),
-        )
+        values = list(self.scale.values())
+        spread = math.hypot(*self.scale_sigma.values(), self.stated_scale_sigma)
         alike = len(values) > 1 and (max(values) - min(values)) ** 2 < DECISIVE * spread**2
         for axis, value in list(self.scale.items())[: 1 if alike else None]:
             evidence = self._scale_evidence(axis, self.parallax_sigma)
@@ -157,16 +152,13 @@ class HandEyeCheck:
         """Yield that readings or rotations scatter; nothing if the views disagree also without the readings."""
         if self.excess_arcsec <= 0.0 or self.birge_ratio > _DISAGREE:
             return
-        evidence = dict(
-            zip((kinds.SCATTERED, kinds.LOOSE, kinds.BIASED), self.scatters.tolist(), strict=True)
-        )
+        named = kinds.SCATTERED, kinds.LOOSE, kinds.BIASED
+        evidence = dict(zip(named, self.scatters.tolist(), strict=True))
         likely = [name for name in evidence if evidence[name] > max(evidence.values()) - ALONE]
-        likely.sort(key=lambda name: (name == kinds.BIASED, -evidence[name]))
-        kind, *beside = likely
+        kind, *beside = sorted(likely, key=lambda name: (name == kinds.BIASED, -evidence[name]))
         if kind != kinds.BIASED:
-            size = self.excess_arcsec / 3600.0
             worth = min(evidence[kind], LARGEST_EVIDENCE)
-            yield Cause(kind, worth, size, unit="degrees", beside=tuple(beside))
+            yield Cause(kind, worth, self.excess_arcsec / 3600.0, unit="degrees", beside=tuple(beside))
 
     def _ratios(self) -> str:
         """Return what each axis and the pairs of poses show, in words."""

@@ -86,7 +86,6 @@ class SliceFacts:
     # Numbers of rows and columns without any event between those with lit pixels.
     silent_rows: int
     silent_columns: int
-    on_window: BurstWindow
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,25 @@ class EventImages:
     @cached_property
     def facts(self) -> SliceFacts:
         """Properties of the slice."""
-        return _facts(self.sums, self.hot, self._lit, self.silent, self.window, self.on_window)
+        sums, lit, (start, end, periods) = self.sums, self._lit, self.window
+        latency_us, number = sums.mean_latency_us()[lit], int(np.count_nonzero(lit))
+        counts = (int(count[lit].sum()) for count in (sums.on_count, sums.off_count))
+        on, off = (float(count) / number / periods if number else 0.0 for count in counts)
+        on_events = int(sums.on_count.sum())
+        return SliceFacts(
+            start_us=start,
+            end_us=end,
+            periods=periods,
+            on_share=on_events / (on_events + int(sums.off_count.sum())),
+            lit_pixels=number,
+            events_per_edge=(on + off) / 2.0,
+            events_per_edge_on=on,
+            events_per_edge_off=off,
+            first_on_spread_us=float(latency_us.std()) if number else float("nan"),
+            hot_pixels=int(np.count_nonzero(self.hot)),
+            silent_rows=len(self.silent.rows),
+            silent_columns=len(self.silent.columns),
+        )
 
     @cached_property
     def fired_per_edge(self) -> Array32:
@@ -249,37 +266,6 @@ def make_images(
     sums, halves, on_window = accumulate(inside, (t, x, y, p), size, window, flicker.period_us)
     hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole)
     return EventImages(sums, hot, window, on_window, halves)
-
-
-def _facts(
-    sums: PixelSums,
-    hot: Bools,
-    lit: Bools,
-    silent: SilentLines,
-    window: tuple[float, float, int],
-    on_window: BurstWindow,
-) -> SliceFacts:
-    """Collect the facts of the slice; ``window`` is its start and end, us, and number of periods."""
-    start, end, periods = window
-    latency_us, number = sums.mean_latency_us()[lit], int(np.count_nonzero(lit))
-    counts = (int(count[lit].sum()) for count in (sums.on_count, sums.off_count))
-    on, off = (float(count) / number / periods if number else 0.0 for count in counts)
-    on_events = int(sums.on_count.sum())
-    return SliceFacts(
-        start_us=start,
-        end_us=end,
-        periods=periods,
-        on_share=on_events / (on_events + int(sums.off_count.sum())),
-        lit_pixels=number,
-        events_per_edge=(on + off) / 2.0,
-        events_per_edge_on=on,
-        events_per_edge_off=off,
-        first_on_spread_us=float(latency_us.std()) if number else float("nan"),
-        hot_pixels=int(np.count_nonzero(hot)),
-        silent_rows=len(silent.rows),
-        silent_columns=len(silent.columns),
-        on_window=on_window,
-    )
 
 
 class QuickImage(NamedTuple):

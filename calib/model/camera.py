@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -359,16 +359,16 @@ def nearest_lens(camera: CameraModel, names: Sequence[str]) -> tuple[CameraModel
     seen = np.isfinite(rays).all(axis=1)
     pixels, rays = pixels[seen], rays[seen]
     lens = {name: camera.distortion.get(name, 0.0) for name in names}
-    camera_model = CameraModel(camera.fx, camera.fy, camera.cx, camera.cy, camera.image_size, lens)
+    nearest = replace(camera, distortion=lens)
     for _ in range(_STEPS):
-        there, _, by_values = camera_model.project_with_jacobians(rays)
+        there, _, by_values = nearest.project_with_jacobians(rays)
         slope = by_values.reshape(-1, by_values.shape[2])
         scale = np.linalg.norm(slope, axis=0)
         step = np.linalg.lstsq(slope / scale, (pixels - there).ravel(), rcond=None)[0] / scale
-        camera_model = camera_model.with_values(camera_model.values + step)
+        nearest = nearest.with_values(nearest.values + step)
         if np.abs(step * scale).max() < 1e-9:
             break
-    return camera_model, float(np.linalg.norm(camera_model.project(rays) - pixels, axis=1).max())
+    return nearest, float(np.linalg.norm(nearest.project(rays) - pixels, axis=1).max())
 
 
 @dataclass(frozen=True)
@@ -410,14 +410,9 @@ def undistort(
         np.insert(wanted, 2, 1.0, axis=1), camera.project, lambda done, all_: progress(all_ + done, 2 * all_)
     )
     seen = (np.linalg.norm(wanted, axis=1) <= reach) & np.isfinite(image_px).all(axis=1)
-    maps = np.where(seen[:, None], image_px, _OUTSIDE).astype(np.float32)
-    shape = (height, width)
-    return Undistortion(
-        rays.astype(np.float32).reshape(*shape, 3),
-        (plane * scale + middle).astype(np.float32).reshape(*shape, 2),
-        maps.reshape(*shape, 2),
-        pinhole,
-    )
+    pairs = rays, plane * scale + middle, np.where(seen[:, None], image_px, _OUTSIDE)
+    of_rays, rectified, maps = (each.astype(np.float32).reshape(height, width, -1) for each in pairs)
+    return Undistortion(of_rays, rectified, maps, pinhole)
 
 
 def _in_blocks(points: Array, work: Callable[[Array], Array], progress: Callable[[int, int], None]) -> Array:

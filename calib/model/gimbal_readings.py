@@ -13,7 +13,7 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, product_sigma
 from calib.errors import InputMismatch
 
 #: Names of the axes in readings, in the order of the rotations Ry(pan), Rx(tilt), Rz(roll).
@@ -60,12 +60,11 @@ class ParallaxBound:
         """Return the expected displacement of the pattern per sine of the turn, as a share of r, and its 1-sigma.
 
         The pupil moves across the beam by off_pivot times the sine of the turn, and the pattern by -defocus times
-        that. Uncertainty of a product of two independent quantities: Goodman (1960).
+        that.
         """
-        d, off = self.defocus, self.pupil_off_pivot_mm
-        d_sigma, off_sigma = self.defocus_sigma, self.pupil_off_pivot_sigma_mm
-        sigma = np.linalg.norm([d * off_sigma, off * d_sigma, d_sigma * off_sigma])
-        return -d * off / r_mm, float(sigma / r_mm)
+        off = self.pupil_off_pivot_mm, self.pupil_off_pivot_sigma_mm
+        sigma = product_sigma((self.defocus, self.defocus_sigma), off)
+        return -self.defocus * off[0] / r_mm, sigma / r_mm
 
     def aside_sigma(self, r_mm: float) -> float:
         """Return the 1-sigma change of the radius per sine of the turn, as a share, by a pupil beside the pivot."""

@@ -54,7 +54,20 @@ def view_homography(view: View) -> Array:
     Raises InputMismatch: If the image shows the target mirrored.
     """
     with placed(f"view {view.name}"):
-        return _oriented(rough_homography(view), view)
+        h = rough_homography(view)
+        depth = view.target_mm @ h[2, :2] + h[2, 2]
+        h = h * np.sign(median(depth))  # the target stands in front of the camera
+        determinant = np.linalg.det(h)
+        if not abs(determinant) > 0.0:
+            raise DegenerateViews(
+                "All its points lie on one line in the image.", remedy="Leave this view out."
+            )
+        if determinant < 0.0:
+            raise InputMismatch(
+                "The target appears mirrored.",
+                remedy="Check the target's axes: seen from the camera, X goes right and Y down.",
+            )
+        return np.asarray(h / np.cbrt(determinant))
 
 
 def gross_errors(view: View) -> Bools:
@@ -174,26 +187,8 @@ def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Arr
     homogeneous = np.column_stack([source, np.ones(len(source))]) * weights[:, None]
     u, v = image.T
     zero = np.zeros_like(homogeneous)
-    rows = np.concatenate(
-        [
-            np.hstack([homogeneous, zero, -u[:, None] * homogeneous]),
-            np.hstack([zero, homogeneous, -v[:, None] * homogeneous]),
-        ]
-    )
+    upper = np.hstack([homogeneous, zero, -u[:, None] * homogeneous])
+    lower = np.hstack([zero, homogeneous, -v[:, None] * homogeneous])
+    rows = np.concatenate([upper, lower])
     # Normalised points make the squares well-conditioned.
     return np.asarray(np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3))
-
-
-def _oriented(h: Array, view: View) -> Array:
-    """Scale a homography to determinant 1, with the target in front of the camera, as `view_homography` explains."""
-    depth = view.target_mm @ h[2, :2] + h[2, 2]
-    h = h * np.sign(median(depth))
-    determinant = np.linalg.det(h)
-    if not abs(determinant) > 0.0:
-        raise DegenerateViews("All its points lie on one line in the image.", remedy="Leave this view out.")
-    if determinant < 0.0:
-        raise InputMismatch(
-            "The target appears mirrored.",
-            remedy="Check the target's axes: seen from the camera, X goes right and Y down.",
-        )
-    return np.asarray(h / np.cbrt(determinant))

@@ -130,9 +130,8 @@ def _tilt(
     turn = about_y @ about_x
     plane = np.column_stack([bent, np.ones(len(bent))])
     there = plane @ (_back(turn) @ turn).T
-    onto = (np.eye(2, 3) - np.einsum("ni,j->nij", there[:, :2] / there[:, 2:], [0.0, 0.0, 1.0])) / there[
-        :, 2:, None
-    ]
+    seen = there[:, :2] / there[:, 2:]
+    onto = (np.eye(2, 3) - seen[:, :, None] * [0.0, 0.0, 1.0]) / there[:, 2:, None]
     by_bent = onto @ (_back(turn) @ turn)[:, :2]
     every[:] = by_bent @ every
     held = np.diag([0.0, 0.0, 1.0])  # the part of the way back that no angle changes
@@ -140,7 +139,7 @@ def _tilt(
         if name in coefficients:
             slope = (_back(by_angle) - held) @ turn + _back(turn) @ by_angle
             every[:, :, list(coefficients).index(name)] = np.einsum("nij,nj->ni", onto, plane @ slope.T)
-    return there[:, :2] / there[:, 2:], by_bent @ by_points
+    return seen, by_bent @ by_points
 
 
 def _turn(axes: tuple[int, int], angle: float) -> tuple[Array, Array]:

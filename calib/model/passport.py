@@ -180,24 +180,8 @@ class Passport:
             Passport of these parameters.
         """
         kept = tuple(name for name in self.names if name in names)
-        values = np.array([self.values_by_name[name] for name in kept])
-        return replace(self, names=kept, values=values, covariance=self.covariance_of(kept))
-
-    def covariance_of(self, names: Sequence[str]) -> Array:
-        """Return the joint covariance of some of the parameters.
-
-        Parameters
-        ----------
-        names
-            K names of parameters of the passport.
-
-        Returns
-        -------
-        Array
-            (K, K) covariance, in the order of `names`.
-        """
-        at = [self.names.index(name) for name in names]
-        return self.covariance[np.ix_(at, at)]
+        at = [self.names.index(name) for name in kept]
+        return replace(self, names=kept, values=self.values[at], covariance=self.covariance[np.ix_(at, at)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the passport as plain numbers, lists and names, ready for JSON.

@@ -57,8 +57,6 @@ _SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
 _SCATTER_POWER = 1.0
 #: A gimbal holds the pupil so well that the centres scatter by at most this share of the disc's radius.
 _HELD = 0.017
-#: So many matrices, one for each view and scatter, are handled at once.
-_MOST_MATRICES = 1000
 #: Power of the likelihood of the scatters. Views that look in neighbouring directions look through the same glass, so
 #: the nine views of a bench are about five independent ones.
 _LIKELIHOOD_POWER = 0.5
@@ -310,7 +308,7 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
     grid = scatters[1:]
     for round_ in range(_FINAL_ROUNDS):
         design, distance = _linearised(_rays(seen, means), means)
-        tried, every = grid, _in_pieces(evidence_of(design, distance, sites), grid, common)
+        tried, every = grid, _posteriors(evidence_of(design, distance, sites), grid, common, 2)
         weights = _weights(every.log_likelihood, grid)
         kept = weights > _LEAST_AVERAGED
         posterior, share = _Posterior(*(part[kept] for part in every)), weights[kept] / weights[kept].sum()
@@ -428,14 +426,6 @@ def _roots(matrices: Array) -> tuple[Array, Array]:
     """Return R with R^T R = A^-1 for (..., P, P) positive definite matrices A, and the (...) logarithms of det A."""
     lower = np.linalg.cholesky(matrices)
     return np.linalg.inv(lower), 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
-
-
-def _in_pieces(evidence: Evidence, scatters: Array, common: _Common) -> _Posterior:
-    """Return `_posteriors` with covariances of centres, calculated in pieces that bound the memory for many views."""
-    size = max(1, _MOST_MATRICES // len(evidence.product))
-    parts = [scatters[at : at + size] for at in range(0, len(scatters), size)]
-    pieces = [_posteriors(evidence, part, common, 2) for part in parts]
-    return _Posterior(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
 def _weights(log_likelihood: Array, scatters: Array) -> Array:

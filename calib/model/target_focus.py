@@ -13,6 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from calib.arrays import product_sigma
 from calib.errors import InputMismatch
 
 #: Expected defocus of a target that nobody measured, 1-sigma. It is that of the parallax (`calib.joint.amplitudes`).
@@ -53,7 +54,6 @@ class TargetFocus:
                 )
 
     def seen_less_focal_mm(self, focal_mm: float) -> tuple[float, float]:
-        """Return by how much the camera sees more than the focal length, mm, and its 1-sigma (Goodman, 1960)."""
-        d, d_sigma = self.defocus or (0.0, _DEFOCUS)
-        p, p_sigma = self.pupil_to_focus_mm or (0.0, _PUPIL_SHARE * focal_mm)
-        return d * p, float(np.linalg.norm([d * p_sigma, p * d_sigma, d_sigma * p_sigma]))
+        """Return by how much the camera sees more than the focal length, mm, and its 1-sigma."""
+        d, p = self.defocus or (0.0, _DEFOCUS), self.pupil_to_focus_mm or (0.0, _PUPIL_SHARE * focal_mm)
+        return d[0] * p[0], product_sigma(d, p)

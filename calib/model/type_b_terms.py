@@ -12,6 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from calib.arrays import product_sigma
 from calib.errors import InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
@@ -115,12 +116,8 @@ class TypeBTerm:
         annex H.1): its variance has the first-order terms and, since the difference may be zero, the product of both
         variances. ``thermal`` is of the target, ``collimator_thermal`` of the radius of a certificate.
         """
-        parts = (
-            expansion_per_c * difference_sigma_c,
-            expansion_sigma_per_c * difference_c,
-            expansion_sigma_per_c * difference_sigma_c,
-        )
-        sigma = float(np.linalg.norm(parts))
+        expansion, difference = (expansion_per_c, expansion_sigma_per_c), (difference_c, difference_sigma_c)
+        sigma = product_sigma(expansion, difference)
         return cls(name, kind, sigma, source, correction=expansion_per_c * difference_c)
 
     @property

@@ -134,10 +134,8 @@ def refine_by_symmetry(
         done = kept & (length < LAST_STEP_PX)
         settled = stars[done]
         fit.converged[settled], fit.centres[settled] = True, centres[done]
-        fit.information[settled], fit.mean_square[settled] = (
-            centre_information(normal[done]),
-            mean_square[done],
-        )
+        fit.information[settled] = centre_information(normal[done])
+        fit.mean_square[settled] = mean_square[done]
         fit.light_slope[settled] = np.hypot(slopes[done, 0], slopes[done, 1])
         going = kept & ~done
         stars, centres, slopes = stars[going], centres[going], slopes[going]

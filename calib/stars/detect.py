@@ -27,7 +27,7 @@ from calib.stars.centring import (
     variance_factor,
 )
 from calib.stars.edge_pixels import quantise
-from calib.stars.grid_map import LocalMap, fit_grid_map, without_outliers
+from calib.stars.grid_map import LocalMap, expanded, fit_grid_map, without_outliers
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.printed_star import cell_reach, open_sides
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, star_contrasts
@@ -198,8 +198,7 @@ def refine_candidates(
     The sign is +1 if white is bright; samples are ``step_px`` apart; the last result: whether it is out of focus.
     """
     grid = candidates.nodes.astype(float)
-    grid_map, _ = fit_grid_map(grid, candidates.points)
-    local_map = grid_map.local_map(grid)
+    local_map = expanded(fit_grid_map(grid, candidates.points)[0].apply, grid)
     pitch = local_map.pitch_px
     samples = symmetry_samples(pitch / step_px)
     used_to = cell_reach(open_sides(target, candidates.nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)

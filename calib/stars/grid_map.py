@@ -83,10 +83,6 @@ class GridMap:
         bent = _monomials((grid - self.centre) / self.scale, self.degree) @ self.coefficients
         return apply_homography(self.homography, grid) + bent
 
-    def local_map(self, grid: Array) -> LocalMap:
-        """Expand to second order around (N, 2) pitches."""
-        return expanded(self.apply, grid)
-
 
 def expanded(apply: Callable[[Array], Array], grid: Array) -> LocalMap:
     """Expand a map to second order around (N, 2) pitches, by central differences (Abramowitz, Stegun, 1972, 25.3)."""

@@ -223,15 +223,12 @@ def find_lattice(image: Array32, segments: int) -> GrowthStart | None:
     """Find a star with neighbours on all four sides, at either contrast, in a smoothed image; None if there is none.
 
     The response is a circular harmonic of the image (Hsu and Arsenault, 1982); the search for a square is own. The grid
-    is
-    relative: node (0, 0) is the star found, and the directions are those of the target up to quarter turns.
+    is relative: node (0, 0) is the star found, and the directions are those of the target up to quarter turns.
     """
     for candidate in _candidates_by_pitch(image, segments):
         # Stars respond more strongly than the corners of their cells, but not in all kinds of image.
-        for some in (
-            candidate.places[candidate.responses >= STRONG * candidate.responses[0]],
-            candidate.places,
-        ):
+        strong = candidate.places[candidate.responses >= STRONG * candidate.responses[0]]
+        for some in (strong, candidate.places):
             for number in range(min(len(some), MAX_TRIED)):
                 steps = _steps_to_neighbours(some, number)
                 if steps is not None:

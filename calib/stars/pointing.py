@@ -112,7 +112,9 @@ def predict_grid(
         raise DegenerateViews(
             "No earlier view shows the tag, so the stars cannot be predicted.", where="gimbal", remedy=_REMEDY
         )
-    points = _image_points(image_size)
+    steps = np.linspace(-0.5, 0.5, SIDE) * INNER + 0.5
+    places = np.meshgrid(*(steps * (side - 1) for side in image_size))
+    points = np.stack(places, axis=-1).reshape(-1, 2)
     nodes = [apply_homography(np.asarray(np.linalg.inv(s.grid)), points) for s in seen]
     turns = [_gimbal_rotation(s.reading_deg) for s in seen]
     observed = _Observations(image_size, pitch_mm, points, turns, nodes)
@@ -125,13 +127,6 @@ def predict_grid(
             remedy=_REMEDY,
         )
     return prediction
-
-
-def _image_points(image_size: tuple[int, int]) -> Array:
-    """Return (25, 2) px, points over the inner part of the image."""
-    steps = np.linspace(-0.5, 0.5, SIDE) * INNER + 0.5
-    u, v = np.meshgrid(steps * (image_size[0] - 1), steps * (image_size[1] - 1))
-    return np.column_stack([u.ravel(), v.ravel()])
 
 
 def _gimbal_rotation(reading_deg: Mapping[str, float]) -> Array:

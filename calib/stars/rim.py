@@ -263,14 +263,9 @@ def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints |
     if len(border):
         apart = np.abs(mapped.nodes[:, None, :] * target.pitch_mm - border).max(axis=2).min(axis=1)
         fine, _, _ = _sample(image, selected(mapped, apart < 2.0 * target.pitch_mm), levels, target, _FINE)
-    return rim_in_sections((coarse, fine), border, centre, radius, target.pitch_mm, _px_per_mm(view))
-
-
-def _px_per_mm(view: View) -> float:
-    """Return the scale of the image, px of the image per mm of the target."""
-    spread_px = view.points_px - view.points_px.mean(axis=0)
-    spread_mm = view.target_mm - view.target_mm.mean(axis=0)
-    return float(np.sqrt((spread_px**2).sum() / (spread_mm**2).sum()))
+    spread_px, spread_mm = (each - each.mean(axis=0) for each in (view.points_px, view.target_mm))
+    px_per_mm = float(np.sqrt((spread_px**2).sum() / (spread_mm**2).sum()))
+    return rim_in_sections((coarse, fine), border, centre, radius, target.pitch_mm, px_per_mm)
 
 
 @lru_cache(maxsize=8)

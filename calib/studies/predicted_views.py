@@ -186,9 +186,8 @@ def rim_share(bench: ExpectedBench, rotation: Array) -> float:
     angles = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False)
     radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
     # The rim as seen from the collimator's centre (x, y, -r).
-    rim = np.column_stack(
-        [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), bench.collimator.r)]
-    )
+    across = radius * np.array([np.cos(angles), np.sin(angles)])
+    rim = np.column_stack([*across, np.full(len(angles), bench.collimator.r)])
     return float(_framed(bench.camera, bench.camera.project(rim @ rotation.T), 0.0).mean())
 
 
@@ -198,11 +197,11 @@ def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[A
     Image point of R (P - c) (arXiv:2512.16092, eq. 2). Own model of the beam: a disc of radius r tan(half angle).
     """
     centre = bench.collimator.centre
-    pixels = bench.camera.project(
-        (np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre) @ rotation.T
+    off = np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre
+    pixels = bench.camera.project(off @ rotation.T)
+    inside = np.linalg.norm(off[:, :2], axis=1) < bench.collimator.r * np.tan(
+        np.deg2rad(bench.half_angle_deg)
     )
-    radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
-    inside = np.linalg.norm(points_mm - centre[:2], axis=1) < radius
     return pixels, _framed(bench.camera, pixels, _BORDER_PX) & inside
 
 

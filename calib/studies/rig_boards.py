@@ -209,9 +209,8 @@ def _numbered_from_the_other_end(
     """
     first, second = (_alone(*pair)[1].rotations for pair in zip(cameras, seen, strict=True))
     back = np.swapaxes(first, 1, 2)
-    pairs = np.array(
-        [second @ back, second @ np.diag([-1.0, -1.0, 1.0]) @ back]
-    )  # as numbered, and half turned
+    # As numbered, and half turned.
+    pairs = np.array([second @ back, second @ np.diag([-1.0, -1.0, 1.0]) @ back])
     rigs = pairs if rotation is None else np.broadcast_to(rotation, (1, 1, 3, 3))
     cosines = (np.einsum("rkab,eiab->rkei", rigs, pairs) - 1.0) / 2.0
     angles = np.arccos(np.clip(cosines, -1.0, 1.0))  # (rig, its board, end, board)
@@ -278,9 +277,8 @@ def _alone(camera: CameraModel, views: Sequence[View]) -> tuple[Bundle, Adjustme
         poses.append(pose)
     bundle = Bundle(Observations.from_views(views), camera.parameter_names, free_centres=True)
     rotations = np.concatenate([pose.rotations for pose in poses])
-    return bundle, replace(
-        poses[0], rotations=rotations, offsets=np.concatenate([pose.offsets for pose in poses])
-    )
+    offsets = np.concatenate([pose.offsets for pose in poses])
+    return bundle, replace(poses[0], rotations=rotations, offsets=offsets)
 
 
 def _apart(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:

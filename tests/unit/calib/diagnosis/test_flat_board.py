@@ -11,6 +11,7 @@ from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
 from simulators.world.truth import COLLIMATORS
+from tests.unit.calib.conftest import Bench
 
 SIZE = (1280, 720)
 CAMERA = CameraModel(905.0, 903.0, 633.0, 355.0, SIZE, {"k1": -0.1, "k2": 0.02})
@@ -38,6 +39,13 @@ def test_views_of_a_flat_board_are_told_with_the_model_that_is_right(n, noise_px
     assert "planar" in caught.value.remedy
     planar = calibrate(board_views(TURNS, noise_px), CalibrationOptions(model="planar"))
     assert planar.camera.fx == pytest.approx(CAMERA.fx, abs=3 * planar.U["fx"])
+
+
+def test_of_points_without_errors_rounding_tells_no_flat_board(monkeypatch):
+    # Turns leave seven times the residuals of places, both far below a thousandth of a star's sigma.
+    monkeypatch.setattr(flat_board, "_orbits", lambda _: True)
+    poses = (-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (3, -4, 60), (-2, 4, 130), (4, 4, 45)
+    require_turns(Bench(k=(0.06, -0.9, 1e-3, 5e-4)).views(poses=poses))
 
 
 @pytest.mark.parametrize("profile", COLLIMATORS)

@@ -49,6 +49,16 @@ def test_a_turntable_has_one_scale_and_no_more():
     assert check.scale["pan_deg"] == pytest.approx(1.001, abs=1e-9)
 
 
+def test_rotations_without_any_uncertainty_agree_with_their_readings():
+    angles = np.array([[-5.0, 2.0], [0.0, -3.0], [4.0, 1.0], [2.0, 4.0]])
+    turns = [exp_map(np.array([0.01, 0.0, 0.02])) @ euler_zxy(pan, tilt) for pan, tilt in angles]
+    check = check_hand_eye(
+        np.array(turns), np.zeros((12, 12)), [dict(zip(AXES, a, strict=False)) for a in angles]
+    )
+    assert check.verdict == AGREES
+    assert list(check.scale.values()) == pytest.approx([1.0, 1.0], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("readings", "error", "match"),
     [

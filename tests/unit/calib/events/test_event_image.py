@@ -87,7 +87,7 @@ def test_facts_state_what_the_slice_was_like():
     assert facts.on_share == pytest.approx(0.5)
     assert 50 < facts.first_on_spread_us < 150
     assert facts.silent_rows == 0
-    assert abs(facts.on_window.start_us % PERIOD - 1000) < 60
+    assert abs(images(lit_square(burst=2)).on_window.start_us % PERIOD - 1000) < 60
 
 
 @pytest.mark.parametrize(

@@ -112,6 +112,13 @@ def test_a_star_that_is_stated_to_be_noisy_may_lie_farther_off():
     ).tolist() == [10]
 
 
+def test_among_stars_without_any_error_one_is_wrong():
+    target = np.stack(np.meshgrid(np.arange(12.0), np.arange(9.0)), axis=-1).reshape(-1, 2)
+    mapped = 40.0 * target + 20.0
+    points = mapped + 6.0 * (np.arange(len(target)) == 30)[:, None]
+    assert np.flatnonzero(contradicts_neighbours(target, mapped, points)).tolist() == [30]
+
+
 @pytest.mark.parametrize("sigma", [0.002, 0.02, 0.5])
 def test_neighbours_show_the_noise(sigma):
     for pose in range(3):

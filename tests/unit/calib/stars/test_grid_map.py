@@ -5,7 +5,7 @@ import pytest
 
 from calib.errors import TooFewStars
 from calib.model.homography import apply_homography, fit_homography
-from calib.stars.grid_map import fit_grid_map, predict_locally
+from calib.stars.grid_map import expanded, fit_grid_map, predict_locally
 
 H = np.array([[40.0, 3.0, 500.0], [-2.0, 41.0, 300.0], [1e-3, -2e-3, 1.0]])
 
@@ -45,7 +45,7 @@ def test_derivatives_are_those_of_the_map():
     nodes = grid(17)
     fitted, _ = fit_grid_map(nodes, bend(apply_homography(H, nodes)))
     at, h = np.array([[2.0, -3.0]]), 1e-3
-    local = fitted.local_map(at)
+    local = expanded(fitted.apply, at)
     for s in np.array([[h, 0], [0, h], [h, -h]]):
         step = local.linear[0] @ s + local.quadratic[0] @ [s[0] ** 2, s[0] * s[1], s[1] ** 2]
         assert fitted.apply(at + s)[0] - fitted.apply(at)[0] == pytest.approx(step, abs=2e-7)

@@ -57,6 +57,14 @@ def test_rates_of_all_recordings_are_one_rate():
     assert sigma < min(clock.sigma_rate_ppm for clock in clocks)
 
 
+def test_edges_that_agree_to_the_microsecond_are_no_better_known_than_its_half():
+    edges = np.cumsum(pattern(1))
+    clock = clock_offset("a", edges, edges + 500.0)
+    assert clock.offset_us == pytest.approx(500.0)
+    assert clock.sigma_us == pytest.approx(np.sqrt(2.0 / 12.0))
+    assert clock.sigma_rate_ppm == pytest.approx(2e6 / np.sqrt(12.0) / np.ptp(edges))
+
+
 def test_many_edges_without_a_common_signal_are_refused_in_seconds():
     begun = time.process_time()
     with pytest.raises(InputMismatch):
