@@ -9,6 +9,7 @@ import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import serial
@@ -42,35 +43,22 @@ def terminal() -> Iterator[str]:
     os.close(theirs)
 
 
-class Recorder:
-    """Stands where pyserial opens a port."""
-
-    def __init__(self) -> None:
-        self.settings: dict[str, object] = {}
-
-    def __call__(self, address: str, **settings: object) -> Recorder:
-        self.settings = settings
-        return self
-
-    is_open = True
-
-    def open(self) -> None:
-        """Open nothing."""
-
-    def close(self) -> None:
-        """Close nothing."""
+@pytest.fixture
+def settings(monkeypatch) -> dict[str, object]:
+    """With what pyserial opens a port; it opens none."""
+    opened, port = {}, SimpleNamespace(is_open=True, open=lambda: None, close=lambda: None)
+    monkeypatch.setattr(serial_port.serial, "serial_for_url", lambda _, **given: opened.update(given) or port)
+    return opened
 
 
 @pytest.mark.parametrize(("system", "leaves_dtr_alone"), [("posix", True), ("nt", False)])
-def test_no_flow_control_is_on_whatever_the_system(monkeypatch, system, leaves_dtr_alone) -> None:
+def test_no_flow_control_is_on_whatever_the_system(monkeypatch, settings, system, leaves_dtr_alone) -> None:
     """On Windows pyserial's ``dsrdtr`` makes each byte wait for DSR, which most USB adapters never raise."""
-    recorder = Recorder()
     monkeypatch.setattr(serial_port, "SYSTEM", system)
-    monkeypatch.setattr(serial_port.serial, "serial_for_url", recorder)
     SerialPort("COM3", LineSettings(9600))
-    assert bool(recorder.settings.get("dsrdtr")) == leaves_dtr_alone
-    assert not recorder.settings.get("rtscts")
-    assert not recorder.settings.get("xonxoff")
+    assert bool(settings.get("dsrdtr")) == leaves_dtr_alone
+    assert not settings.get("rtscts")
+    assert not settings.get("xonxoff")
 
 
 SECTIONS = {
@@ -110,16 +98,14 @@ def test_the_line_is_the_maker_s_unless_the_station_says_otherwise(monkeypatch, 
 
 
 @pytest.mark.parametrize(
-    ("frame", "settings"),
+    ("frame", "stated"),
     [("8N1", (8, "N", 1)), ("7E1", (7, "E", 1)), ("7O2", (7, "O", 2)), ("8N2", (8, "N", 2))],
 )
-def test_data_bits_parity_and_stop_bits_are_those_of_the_frame(monkeypatch, frame, settings) -> None:
+def test_data_bits_parity_and_stop_bits_are_those_of_the_frame(settings, frame, stated) -> None:
     """A 33120A has 2 stop bits, an SMC100 holds the sender by XON and XOFF, older instruments have 7 data bits."""
-    recorder = Recorder()
-    monkeypatch.setattr(serial_port.serial, "serial_for_url", recorder)
     SerialPort("COM3", LineSettings(9600, frame=frame, xonxoff=True))
-    assert tuple(recorder.settings[name] for name in ("bytesize", "parity", "stopbits")) == settings
-    assert recorder.settings["xonxoff"]
+    assert tuple(settings[name] for name in ("bytesize", "parity", "stopbits")) == stated
+    assert settings["xonxoff"]
 
 
 @pytest.mark.parametrize(("rtscts", "cause"), [(True, "line CTS was off"), (False, "Write timeout")])
@@ -180,18 +166,12 @@ def test_a_folder_that_knows_no_locks_is_not_called_busy(tmp_path, monkeypatch) 
     assert "STARBENCH_LOCKS" in caught.value.remedy
 
 
-def _another_users_folder(tmp_path) -> Path:
-    folder = tmp_path / "of another user"
-    folder.mkdir()
-    folder.chmod(0o700)
-    return folder
-
-
 def test_a_link_in_the_place_of_the_locks_opens_nobody_s_folder(tmp_path, monkeypatch) -> None:
     """Another user may plant a link, or a folder, under any name in a shared folder, before the first use."""
     monkeypatch.delenv(file_lock.FOLDER_VARIABLE)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    victim = _another_users_folder(tmp_path)
+    victim = tmp_path / "of another user"
+    victim.mkdir(0o700)
     planted = tmp_path / "planted"
     planted.symlink_to(victim)
     assert file_lock.locks_folder([planted, victim]) == tmp_path
