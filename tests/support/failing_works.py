@@ -271,13 +271,14 @@ def main_of(commands, going_on, others, patched, prepare=lambda _inputs: None):
     cv2.setNumThreads(1)
     folder = Path(sys.argv[1])
     os.environ["STARBENCH_HOME"] = str(folder / "home")
-    inputs = new(folder / "inputs")
-    write_inputs(inputs)
-    prepare(inputs)
+    inputs, steps = new(folder / "inputs"), json.loads(sys.argv[2])
+    if any("{in}" in (commands | going_on).get(name, "") for name in steps):
+        write_inputs(inputs)
+        prepare(inputs)
     for patch in patched:
         patch.start()
     works = works_of(commands, going_on, others, inputs)
-    sys.exit(bool(try_works(folder, json.loads(sys.argv[2]), works)))
+    sys.exit(bool(try_works(folder, steps, works)))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 import json
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
-from zoneinfo import ZoneInfo
 
 import pytest
 from hypothesis import given
@@ -45,21 +44,6 @@ def queue(*jobs, **words):
 def test_a_time_of_day_is_its_next_occurrence_on_the_clocks_of_its_zone(after, at, expected):
     after, expected = (datetime.fromisoformat(text).replace(tzinfo=UTC) for text in (after, expected))
     assert next_time(at, after, "Europe/Berlin") == expected
-
-
-@given(
-    st.integers(0, 60 * 24 * 730),
-    st.integers(0, 23),
-    st.integers(0, 59),
-    st.sampled_from(["UTC", "Europe/Berlin", "America/New_York", "Asia/Kolkata"]),
-)
-def test_the_next_occurrence_lies_within_a_day_and_shows_that_time(after, hour, minute, zone):
-    after = EVENING - timedelta(days=365) + timedelta(minutes=after)
-    next_begin = next_time(f"{hour:02d}:{minute:02d}", after, zone)
-    assert timedelta(0) < next_begin - after <= timedelta(hours=26)
-    shown = next_begin.astimezone(ZoneInfo(zone))
-    usual = (shown.hour, shown.minute) == (hour, minute)
-    assert usual or shown.utcoffset() != (shown - timedelta(hours=2)).utcoffset()  # put forward over it
 
 
 def test_a_batch_waits_for_its_start_and_stops_by_the_morning_after():

@@ -6,6 +6,7 @@
 from dataclasses import dataclass
 
 import pytest
+from slow_cases import slow
 
 from calib.model.cause import Cause
 from tests.unit.bench.evidence.attack_steps import (
@@ -44,17 +45,17 @@ class Attack:
 ATTACKS = [
     # documents
     Attack("station edited", edit("station.yaml", "laboratory: ", "laboratory: Other "), "station.yaml", "plan"),
-    Attack("station's name, told", with_hashes(edit("station.yaml", "name: ", "name: My ")), "journal.jsonl:1", "journal"),
+    slow(Attack("station's name, told", with_hashes(edit("station.yaml", "name: ", "name: My ")), "journal.jsonl:1", "journal")),
     Attack("pose added to the sequence, told", with_hashes(edit("sequence.yaml", "tilt_deg: -3}", "tilt_deg: -3}, {name: more, pan_deg: 1}")), "journal.jsonl", "journal"),
     Attack("passport removed", remove("passport.json"), "passport.json", "plan"),
     Attack("passport removed, told", with_hashes(remove("passport.json")), "station.yaml", "plan"),
-    Attack("plan edited, told", with_hashes(edit("plan.json", '"size_bytes": ', '"size_bytes": 1')), "plan.json", "plan"),
+    slow(Attack("plan edited, told", with_hashes(edit("plan.json", '"size_bytes": ', '"size_bytes": 1')), "plan.json", "plan")),
     # journal
     Attack("journal edited", edit("journal.jsonl", '"operator":"Ada"', '"operator":"Eve"'), "journal.jsonl:1", "journal"),
     Attack("operator in the journal", line("run_started", lambda d: d.update(operator="Eve")), "results.json", "results"),
     Attack("not simulated, in the journal", line("run_started", lambda d: d.update(simulated=False)), "journal.jsonl:1", "journal"),
     Attack("verdict of a gate", line("attempt_checked", lambda d: d["gates"][1].update(verdict="fail")), "results.json", "results"),
-    Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "journal.jsonl", "journal"),
+    slow(Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "journal.jsonl", "journal")),
     Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "journal.jsonl", "journal"),
     Attack("verdict of the report", line("written", lambda d: d["verdict"].update(kind="fail")), "journal.jsonl", "journal"),
     Attack("no verdict in the journal", line("written", lambda d: d.pop("verdict")), "journal.jsonl", "journal"),
@@ -65,7 +66,7 @@ ATTACKS = [
     Attack("hashes of the results removed", drop("written"), "journal.jsonl", "journal"),
     Attack("hashes of the results removed, and the program that wrote them", without_program, "journal.jsonl", "journal"),
     Attack("clock moved within the run", shifted_clock, "journal.jsonl:21", "journal"),
-    Attack("a pose never happened", without_pose, "journal.jsonl", "journal"),
+    slow(Attack("a pose never happened", without_pose, "journal.jsonl", "journal")),
     Attack("a second begin", with_hashes(lambda f: f.chain([*f.lines[:5], f.lines[0], *f.lines[5:]])), "journal.jsonl:6", "journal"),
     # results
     Attack("results edited", edit("results.json", '"operator": "Ada"', '"operator": "Eve"'), "results.json", "results"),

@@ -283,7 +283,7 @@ def test_the_plan_as_json_is_plain_and_names_no_place_of_this_machine():
 numbers = st.sampled_from(["0", "-6", "6.5", "60", "1e-3", "99999", "100"])
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(st.sampled_from(SEQUENCES), st.data())
 def test_a_sequence_with_other_numbers_is_planned_or_refused_never_anything_else(path, data):
     text = path.read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ from failing_calls import assert_each_call_may_fail, try_in_process
 from failing_works import COMMANDS, GOING_ON, OTHERS
 
 PROGRAM = Path(__file__).parents[3] / "support" / "failing_works.py"
-SOME = {"target": (6, 15), "passport show --seal": (4, 15), "ledger": (5, 87), "keys": (2, 27)}
+SOME = {"target": (6, 15), "ledger": (5, 87), "keys": (2, 27)}
 """First call and step of the works that are tried here; each call of every work is slow."""
 
 

@@ -148,7 +148,6 @@ def test_sections_that_a_draft_and_each_example_offer_as_comments_are_accepted(w
             ("microcontroller", "text", "text"),
             ("keysight", "scpi", "thorlabs_apt"),
         ],
-        2,
     ),
 )
 def test_every_stage_and_every_light_has_a_stand_in_that_can_be_planned(
@@ -189,7 +188,7 @@ def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controlle
 
 
 @pytest.mark.parametrize(
-    ("driver", "scale"), [("ximc", "ASK-THE-DATA-SHEET"), ("thorlabs_apt", "136533.333,")]
+    ("driver", "scale"), first_quick([("ximc", "ASK-THE-DATA-SHEET"), ("thorlabs_apt", "136533.333,")])
 )
 def test_controllers_with_a_port_for_each_axis_are_asked_for_their_serial_numbers(driver, scale):
     with SimulatedBench({"stage": {"kind": driver}}, 1) as bench:

@@ -2,12 +2,9 @@
 
 import subprocess
 import sys
-from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from bench.base.errors import StorageError
 from bench.run.messages.outbox import CLAIM, GIVEN_UP_AFTER, DeliveryFailed, Message, Outbox
@@ -158,38 +155,3 @@ def test_a_damaged_file_is_named_and_holds_up_no_other(outbox):
     with pytest.raises(StorageError) as refused:
         outbox.deliveries()
     assert str(damaged) in str(refused.value)
-
-
-EVENTS = st.tuples(
-    st.sampled_from(["put", "deliver"]), st.sampled_from(["a", "b"]), st.sampled_from(["ok", "down", "die"])
-)
-
-
-@settings(max_examples=25)
-@given(st.lists(EVENTS, max_size=12))
-def test_in_any_order_of_events_each_message_arrives_and_twice_only_where_it_says_so(
-    tmp_path_factory, events
-):
-    outbox, arrived, known = Outbox(tmp_path_factory.mktemp("home")), [], set()
-
-    def send(how):
-        def hand_over(message, _channel):
-            if how == "down":
-                raise DeliveryFailed("down")
-            arrived.append(message.key)
-            if how == "die":
-                raise KeyboardInterrupt
-
-        return hand_over
-
-    for number, (what, key, how) in enumerate([*events, ("deliver", "", "ok")]):
-        if what == "put":
-            outbox.put(message(key), [MAIL])
-            known.add(key)
-            continue
-        with suppress(KeyboardInterrupt):
-            deliver(outbox, send(how), NOW + number * CLAIM, by_hand=True)
-    assert set(arrived) == known
-    doubled = {key for key in known if arrived.count(key) > 1}
-    assert doubled <= {d.message.key for _, d in outbox.deliveries() if d.perhaps_twice}
-    assert all(state == "sent" for state, _ in outbox.deliveries())
