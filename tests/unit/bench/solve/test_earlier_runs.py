@@ -31,15 +31,8 @@ def ledger(monkeypatch):
     return SimpleNamespace()
 
 
-def begun_on(station):
-    return History(started={"sequence": "Three poses", "station": station}, ledger={"number": 7})
-
-
-def test_a_run_is_compared_with_the_last_of_its_sequence_on_its_own_bench(ledger):
-    last = earlier_runs.last_results(ledger, begun_on("Bench 1"))
-    assert last is not None
-    assert last["run"]["id"] == "right"
-
-
-def test_the_first_run_on_a_bench_is_compared_with_none(ledger):
-    assert earlier_runs.last_results(ledger, begun_on("Bench 2")) is None
+@pytest.mark.parametrize(("station", "compared"), [("Bench 1", "right"), ("Bench 2", None)])
+def test_a_run_is_compared_with_the_last_of_its_sequence_on_its_own_bench(ledger, station, compared):
+    begun = History(started={"sequence": "Three poses", "station": station}, ledger={"number": 7})
+    last = earlier_runs.last_results(ledger, begun)
+    assert (last and last["run"]["id"]) == compared
