@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import ClassVar, Final, TypeVar
 
+from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.errors import PortError, PortLost, ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.lateness import REMEDY as BUSY_REMEDY
@@ -215,6 +216,10 @@ class Link(ABC):
                 if not self.connect_again(lost):
                     raise
             return self._exchange_once(request, read_reply, deadline_s)
+
+    def agreed(self, read: Callable[[], T], what: str) -> T:
+        """Return a value on which two readings in a row agree; see `drivers.agreed_reading`."""
+        return read_until_agreed(read, what=what, where=self.name)
 
     def connect_again(self, lost: PortLost | None = None) -> bool:
         """Open a port again that can be, and ask who is there before the next request; False for any other port.

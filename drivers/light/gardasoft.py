@@ -232,7 +232,7 @@ class GardasoftLight(WatchedLight):
 
     def is_on(self) -> bool:
         """See `Light.is_on`. Asks whether the internal trigger runs or the channel may be lit without it."""
-        return self._agreed(self._trigger_runs, "the trigger's state") or bool(self._lit_mode())
+        return self._line.agreed(self._trigger_runs, "the trigger's state") or bool(self._lit_mode())
 
     def _reported_faults(self) -> list[str]:
         """Return the events since the last call, and the controller's latest one, which this clears."""
@@ -315,11 +315,11 @@ class GardasoftLight(WatchedLight):
             mode = self._line.parse_mode(channel)
             return mode if mode != PULSED and self._line.parse_percent(channel).value > 0 else ""
 
-        return self._agreed(read, "the channel's mode")
+        return self._line.agreed(read, "the channel's mode")
 
     def _is_surely_lit(self) -> bool:
         """Whether the trigger runs, or the channel is lit without any input."""
-        return self._agreed(self._trigger_runs, "the trigger's state") or self._lit_mode() == CONTINUOUS
+        return self._line.agreed(self._trigger_runs, "the trigger's state") or self._lit_mode() == CONTINUOUS
 
     def _check_settings(self, period_ms: float, width_ms: float, percent: float, *, sync: bool) -> None:
         line = self._line

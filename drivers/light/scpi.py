@@ -78,7 +78,7 @@ class ScpiLight(WatchedLight):
         for setting in self._dialect.settings(settings, self._dialect.query_low_v(self._line)):
             self._set(setting)
         self._backwards = itertools.cycle((False, True))
-        got = self._agreed(self._ask, "the settings")
+        got = self._line.agreed(self._ask, "the settings")
         self._refuse_otherwise(
             got.differences(settings), "Ask for values within the generator's range and resolution."
         )
@@ -115,7 +115,7 @@ class ScpiLight(WatchedLight):
 
     def is_on(self) -> bool:
         """See `Light.is_on`."""
-        return self._agreed(lambda: self._dialect.query_output(self._line), "the output's switch")
+        return self._line.agreed(lambda: self._dialect.query_output(self._line), "the output's switch")
 
     def _reported_faults(self) -> list[str]:
         """Return the errors since the last call."""

@@ -85,7 +85,7 @@ class TextLight(WatchedLight):
 
     def is_on(self) -> bool:
         """See `Light.is_on`."""
-        return self._agreed(lambda: self._line.switch(self._description.is_on)[0], "the output")
+        return self._line.agreed(lambda: self._line.switch(self._description.is_on)[0], "the output")
 
     def _reported_faults(self) -> list[str]:
         faults = self._line.take_notices()
@@ -133,7 +133,7 @@ class TextLight(WatchedLight):
             raise SettingRefused(
                 f"{setting.quantity}: {error.what}", where=error.where, remedy=error.remedy
             ) from error
-        got = self._agreed(lambda: self._line.query(setting.query)["value"], setting.quantity)
+        got = self._line.agreed(lambda: self._line.query(setting.query)["value"], setting.quantity)
         if isinstance(sent, str):
             fits = _is_word(got, sent)
         else:

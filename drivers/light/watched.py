@@ -7,11 +7,10 @@ protocol.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import ClassVar, Final, TypeVar
+from typing import ClassVar, Final
 
-from drivers.agreed_reading import read_until_agreed
 from drivers.errors import DriverError, LightFault, ReplyTimeout, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.link import Link
@@ -20,8 +19,6 @@ from drivers.visa_port import VISA_PREFIX, VisaPort, socket_url
 
 FULL_SCALE_V: Final = 5.0
 """Value of ``high_v`` that stands for the full level of a light whose levels are percent, in volts."""
-
-T = TypeVar("T")
 
 
 class WatchedLight(OnOnePort, ABC):
@@ -94,7 +91,7 @@ class WatchedLight(OnOnePort, ABC):
 
     def read(self) -> LightSettings:
         """See `Light.read`. Reads until two readings agree."""
-        return self._agreed(self._read_once, "the settings")
+        return self._line.agreed(self._read_once, "the settings")
 
     def apply(self, settings: LightSettings) -> LightSettings:
         """See `Light.apply`."""
@@ -186,9 +183,6 @@ class WatchedLight(OnOnePort, ABC):
     def _stays_dark(self) -> tuple[str, str]:
         reads, remedy = self.STAYS_DARK
         return f"the {self.OUTPUT} was switched on, but {reads}.", remedy
-
-    def _agreed(self, read: Callable[[], T], what: str) -> T:
-        return read_until_agreed(read, what=what, where=self._line.name)
 
     def _refuse(self, wrong: Sequence[str], after: str = "") -> None:
         """Raise SettingRefused if there is something that this light cannot make."""

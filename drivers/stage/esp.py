@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyTimeout
 from drivers.serial_port import LineSettings, Port
@@ -226,7 +225,7 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
     def _motor_on(self, axis: EspAxis) -> bool:
         """Ask until two answers agree: the answer is a single digit without checksum."""
         query = f"{axis.number}MO?"
-        return read_until_agreed(lambda: self._line.query_switch(query), what=query, where=self._where)
+        return self._line.agreed(lambda: self._line.query_switch(query), query)
 
     def _command(self, axis: EspAxis, words: str) -> None:
         """Send a command, once, and ask for errors. Raises DeviceRefused."""

@@ -15,7 +15,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription, Switch, Value
 from drivers.described.line import DescribedLine, shown
@@ -360,9 +359,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     def _value(self, query: Exchange, axis: TextAxis, name: str) -> Value:
         """Read a value until two readings agree."""
-        return read_until_agreed(
-            lambda: self._line.query(query, self._of(axis))[name], what=name, where=self._where
-        )
+        return self._line.agreed(lambda: self._line.query(query, self._of(axis))[name], name)
 
     def _wanted(self, axis: TextAxis, setting: AxisSetting) -> Value:
         """Return a setting in the controller's units, rounded as it is sent."""

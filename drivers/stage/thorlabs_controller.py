@@ -10,7 +10,6 @@ import struct
 from collections.abc import Callable
 from typing import Final, TypeVar
 
-from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.errors import ReplyGarbled, ReplyTimeout
 from drivers.link import TRIES, repeat
@@ -78,14 +77,14 @@ class ThorlabsController(AxisController):
 
     def read_information(self) -> apt.Information:
         """Ask who it is, until two answers agree."""
-        return self._read_twice(
+        return self.agreed(
             lambda: apt.Information.unpack(self._query(apt.REQUEST_INFORMATION, apt.INFORMATION_LAYOUT)),
             "the identity",
         )
 
     def read_status(self) -> apt.Status:
         """Ask for the status, until two answers agree: one changed bit could give an axis a reference."""
-        return self._read_twice(
+        return self.agreed(
             lambda: apt.Status.unpack(self._query(apt.REQUEST_STATUS, apt.STATUS_LAYOUT)), "the status"
         )
 
@@ -95,7 +94,7 @@ class ThorlabsController(AxisController):
 
     def read_speed(self) -> tuple[int, int]:
         """Ask for acceleration and speed, in the controller's units."""
-        data = self._read_twice(lambda: self._query(apt.REQUEST_SPEED, apt.SPEED_LAYOUT), "the speed")
+        data = self.agreed(lambda: self._query(apt.REQUEST_SPEED, apt.SPEED_LAYOUT), "the speed")
         _, _, acceleration, speed = apt.SPEED_LAYOUT.unpack(data)
         return int(acceleration), int(speed)
 
@@ -112,9 +111,7 @@ class ThorlabsController(AxisController):
     def read_home(self) -> apt.HomeParameters | None:
         """Ask for the parameters of a search of the reference; None if the controller does not tell them."""
         try:
-            data = self._read_twice(
-                lambda: self._query(apt.REQUEST_HOME, apt.HOME_LAYOUT), "the home parameters"
-            )
+            data = self.agreed(lambda: self._query(apt.REQUEST_HOME, apt.HOME_LAYOUT), "the home parameters")
         except ReplyTimeout as error:
             self._require_alive(error)
             return None
@@ -144,7 +141,7 @@ class ThorlabsController(AxisController):
 
     def is_enabled(self) -> bool:
         """Ask whether the channel is switched on."""
-        state = self._read_twice(
+        state = self.agreed(
             lambda: self._ask(
                 apt.REQUEST_ENABLED, lambda reply: apt.parameter_of(reply, apt.REQUEST_ENABLED, self.name)
             ),
@@ -213,9 +210,6 @@ class ThorlabsController(AxisController):
         with self.lock:
             self.bring_into_step()
             self.write(request)
-
-    def _read_twice(self, read: Callable[[], T], what: str) -> T:
-        return read_until_agreed(read, what=what, where=self.name)
 
     def _query(self, message: int, layout: struct.Struct, *, tries: int = TRIES) -> bytes:
         """Send a query and return the data of the reply; see `_ask`."""
