@@ -87,7 +87,7 @@ def with_settings(data: bytes, file: str, settings: Mapping[str, str]) -> bytes:
 def _value(path: str, text: str) -> Any:
     parsed = parse(f"value: {text}\n".encode(), f"setting {path}")
     if parsed.faults or not isinstance(parsed.value, dict) or list(parsed.value) != ["value"]:
-        raise DocumentFaults([Fault(f"setting {path}", 0, 0, "", f"{text!r} is not one plain YAML value.")])
+        raise _placeless(f"setting {path}", f"{text!r} is not one plain YAML value.")
     return parsed.value["value"]
 
 
@@ -102,8 +102,7 @@ def _put(tree: Any, path: str, value: Any, file: str) -> None:
         else:
             _mapping(here)[last] = value
     except (TypeError, ValueError, IndexError):
-        fault = Fault(file, 0, 0, path, "the document has no such place to set: check the path.")
-        raise DocumentFaults([fault]) from None
+        raise _placeless(file, "the document has no such place to set: check the path.", path) from None
 
 
 def _part(here: Any, key: str) -> Any:
@@ -210,13 +209,7 @@ def find_document(name_or_path: str, shipped: Path) -> Path:
     known = {file.stem: file for file in sorted(shipped.glob("*.yaml"))}
     if name_or_path not in known:
         hint = did_you_mean(name_or_path, known)
-        raise DocumentFaults(
-            [
-                Fault(
-                    name_or_path, 0, 0, "", f"there is no such file, and no shipped file has this name.{hint}"
-                )
-            ]
-        )
+        raise _placeless(name_or_path, f"there is no such file, and no shipped file has this name.{hint}")
     return known[name_or_path]
 
 
@@ -253,12 +246,17 @@ def _wrong_kind(wanted: object, stated: object) -> str:
     return f"{needed.words} is needed here, and this is {given.words}. {given.use}".rstrip()
 
 
+def _placeless(file: str, message: str, path: str = "") -> DocumentFaults:
+    """Build the error of a document that has no line and column to name."""
+    return DocumentFaults([Fault(file, 0, 0, path, message)])
+
+
 def _bytes_of(path: Path) -> bytes:
     """Read the file, at most one byte more than a document may have."""
     try:
         if path.exists() and not path.is_file():
             message = "this is a folder, not a file." if path.is_dir() else "this is not a regular file."
-            raise DocumentFaults([Fault(str(path), 0, 0, "", message)])
+            raise _placeless(str(path), message)
         with path.open("rb") as stream:
             return stream.read(MOST_BYTES + 1)
     except FileNotFoundError:
@@ -267,4 +265,4 @@ def _bytes_of(path: Path) -> bytes:
         message = "no permission to read this file."
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         message = f"the file cannot be read: {getattr(error, 'strerror', None) or error}."
-    raise DocumentFaults([Fault(str(path), 0, 0, "", message)])
+    raise _placeless(str(path), message)
