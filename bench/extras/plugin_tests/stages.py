@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -110,6 +111,14 @@ class RealTime(DeviceTime):
         time.sleep(0.005)
 
 
+@contextmanager
+def _unmoved(simulated: WithAngles, within_deg: float = 1e-6) -> Iterator[None]:
+    """Check that no axis has moved at the end of the block."""
+    before = dict(simulated.angles_deg())
+    yield
+    assert dict(simulated.angles_deg()) == pytest.approx(before, abs=within_deg)
+
+
 def _opened(kind: Literal["stage", "light"], station: Station) -> Any:
     clock: Any = ContractClock()
     section = station.stage if kind == "stage" else station.light
@@ -211,10 +220,9 @@ class AnyStageContract:
 
     def test_opening_and_closing_move_nothing(self, opens: Opener, simulated: WithAngles) -> None:
         """Opening and closing move nothing."""
-        before = dict(simulated.angles_deg())
-        for _ in range(2):
-            opens().close()
-        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+        with _unmoved(simulated):
+            for _ in range(2):
+                opens().close()
 
     def test_the_axes_are_those_of_the_section(self, stage: Stage) -> None:
         """The axes are those of the section."""
@@ -227,9 +235,8 @@ class AnyStageContract:
         """Without a reference nothing moves."""
         if stage.is_homed():
             pytest.skip("this device knows its position from power-up on")
-        before = dict(simulated.angles_deg())
-        fails_in_time(lambda: stage.move_to({stage.axes[0]: 1.0}), NotHomed)
-        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+        with _unmoved(simulated):
+            fails_in_time(lambda: stage.move_to({stage.axes[0]: 1.0}), NotHomed)
 
     def test_homing_and_moves_end_where_the_readings_say(self, homed: Stage, simulated: WithAngles) -> None:
         """Homing and moves end where the readings say."""
@@ -243,14 +250,10 @@ class AnyStageContract:
 
     def test_a_target_outside_the_limits_moves_nothing(self, homed: Stage, simulated: WithAngles) -> None:
         """A target outside the limits moves nothing."""
-        before = dict(simulated.angles_deg())
-        for name in homed.axes:
-            fails_in_time(
-                lambda name=name: homed.move_to({name: homed.limits[name].highest_deg + 0.5}),  # type: ignore[misc]
-                OutsideLimits,
-            )
-        fails_in_time(lambda: homed.move_to({"no such axis": 0.0}), OutsideLimits)
-        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+        beyond = {name: homed.limits[name].highest_deg + 0.5 for name in homed.axes}
+        with _unmoved(simulated):
+            for name, angle_deg in {**beyond, "no such axis": 0.0}.items():
+                fails_in_time(partial(homed.move_to, {name: angle_deg}), OutsideLimits)
 
     def test_a_stop_from_another_thread_ends_a_move(
         self, homed: Stage, simulated: WithAngles, device_time: DeviceTime
@@ -277,9 +280,8 @@ class AnyStageContract:
         """Another serial number is refused."""
         if not self.other_serial:
             pytest.skip("this device has no serial number")
-        before = dict(simulated.angles_deg())
-        fails_in_time(lambda: opens(serial=self.other_serial), WrongDevice)
-        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
+        with _unmoved(simulated):
+            fails_in_time(lambda: opens(serial=self.other_serial), WrongDevice)
 
 
 class StageContract(AnyStageContract, SerialContract):
@@ -324,10 +326,8 @@ class StageContract(AnyStageContract, SerialContract):
         fails_in_time(homed.position_deg, PortLost)
         homed.close()
         rig.plugged.replug()
-        before = dict(simulated.angles_deg())
-        with closing(opens()) as again:
+        with _unmoved(simulated, 1e-4), closing(opens()) as again:
             again.identify()
-        assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-4)
 
 
 class LibraryStageContract(ConnectedContract, AnyStageContract):

@@ -7,6 +7,7 @@ another fails.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 from bench.base.clock import BenchClock
@@ -53,20 +54,15 @@ def open_bench(
 ) -> Bench:
     """Open all devices, or none, and make their controls; the loop is not started yet."""
     clock = BenchClock()
-    meter = make_meter()  # first: its process starts while the devices open
-    try:
+    with ExitStack() as opened:
+        meter = make_meter()  # first: its process starts while the devices open
+        opened.callback(meter.close)
         devices = opener(station, clock)
-    except BaseException:
-        meter.close()
-        raise
-    try:
+        opened.callback(devices.close)
         light = LightControl(devices.light, station.light, camera_kind(station).light_for, on_change)
         light.look()
         camera = CameraControl(devices.camera, station, on_change)
-    except BaseException:
-        devices.close()
-        meter.close()
-        raise
+        opened.pop_all()
     stage = StageControl(devices.stage, on_change)
     stage.look_safely(thoroughly=True)
     loop = LiveLoop(devices.camera, setting, stage.known_deg, on_change, meter, lambda: stage.moving)
