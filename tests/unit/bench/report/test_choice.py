@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from bench.measure.view_picture import ViewPicture
 from bench.report.pictured_poses import pictured_poses, thinned
@@ -41,18 +39,6 @@ def test_failed_gates_leave_no_room_for_marginal_ones_and_are_spread_where_too_m
     assert chosen[:3] == [0, 1, 2]
     assert (chosen[3], chosen[-1], len(chosen)) == (101, 199, MOST)
     assert all(place % 2 for place in chosen[3:])
-
-
-@given(
-    st.lists(st.one_of(st.none(), st.floats(0, 9)), max_size=120),
-    st.dictionaries(st.integers(0, 130), st.sampled_from(["pass", "marginal", "fail"])),
-)
-def test_any_run_has_as_many_pictures_as_fit(rms, verdicts):
-    choice = pictured_poses(results_of(rms, verdicts))
-    posed = [place for place, value in enumerate(rms) if value is not None]
-    assert choice.total == len(posed)
-    assert len(choice.names) == choice.shown == min(MOST, len(posed))
-    assert set(places(choice)) <= set(posed)
 
 
 def stars(n, views):
