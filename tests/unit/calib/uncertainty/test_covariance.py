@@ -46,7 +46,7 @@ def in_the_band(z):
     "options", first_quick([CalibrationOptions("spherical"), CalibrationOptions(model="planar", loss="l2")])
 )
 def test_sigmas_are_those_of_repeated_calibrations(bench, options):
-    z, _ = z_scores(bench, options, 30, 12)
+    z, _ = z_scores(bench, options, 20, 12)
     assert in_the_band(z).all()
     assert not in_the_band(2.5 * z).any()
 
