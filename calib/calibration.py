@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.adjustment.loss import LossName
 from calib.arrays import Array
-from calib.errors import InputMismatch
+from calib.errors import InputMismatch, require_known
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.cause import Cause
 from calib.model.collimator import Collimator
@@ -105,14 +105,9 @@ class CalibrationOptions:
         if self.distortion in ("auto", ("auto",), ["auto"]):
             object.__setattr__(self, "distortion", "k1k2")
             object.__setattr__(self, "compares_lenses", True)
-        for what, value, known in (
-            ("model", self.model, get_args(ModelName)),
-            ("loss", self.loss, (*get_args(LossName), None)),
-        ):
-            if value not in known:
-                raise InputMismatch(
-                    f"Unknown {what} {value!r}.", remedy=f"Known: {', '.join(filter(None, known))}."
-                )
+        require_known("model", self.model, get_args(ModelName))
+        if self.loss is not None:
+            require_known("loss", self.loss, get_args(LossName))
         if not isinstance(self.distortion, str | Sequence):
             raise InputMismatch(
                 f"The distortion is {self.distortion!r}.", remedy='Name the lens, such as "k1k2".'

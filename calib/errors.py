@@ -13,7 +13,7 @@ CalibrationError
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
@@ -49,6 +49,12 @@ def placed(where: str) -> Iterator[None]:
         if not error.where:
             error.where, error.args = where, (f"{where}: {error}",)
         raise
+
+
+def require_known(what: str, given: object, known: Sequence[str], where: str = "") -> None:
+    """Refuse (`InputMismatch`) a name that is none of the known ones, which are told."""
+    if given not in known:
+        raise InputMismatch(f"Unknown {what} {given!r}.", where=where, remedy=f"Known: {', '.join(known)}.")
 
 
 class TargetNotFound(CalibrationError):

@@ -94,9 +94,8 @@ def fit_model(
     if options.passport is None:
         require_distinct_poses(refined.parameters)
     uncertainty = _constrained(kept, bundle, refined, loss)
-    left_out = (
-        leave_one_out(bundle, refined.parameters, loss) if leave_out or uncertainty.inconsistent else None
-    )
+    leave_out = leave_out or uncertainty.inconsistent
+    left_out = leave_one_out(bundle, refined.parameters, loss) if leave_out else None
     return Fit(model, views, bundle, refined, loss, np.concatenate(used), uncertainty, left_out)
 
 

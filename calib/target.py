@@ -121,10 +121,8 @@ class StarTarget:
             return (
                 f"Tag {self.tag_id} does not exist; family {self.tag_family} has tags 0 to {family.tags - 1}."
             )
-        fits = all(
-            first >= 1 and first + self.tag_squares <= squares - 1
-            for first, squares in zip(self.tag_square, (self.squares_x, self.squares_y), strict=True)
-        )
+        sides = zip(self.tag_square, (self.squares_x, self.squares_y), strict=True)
+        fits = all(first >= 1 and first + self.tag_squares <= squares - 1 for first, squares in sides)
         if self.tag_squares < 1 or not fits:
             return f"A tag of {self.tag_squares} squares at square {self.tag_square} does not lie inside the target."
         return ""

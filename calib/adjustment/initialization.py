@@ -196,9 +196,7 @@ def _about(
 ) -> list[AdjustmentParameters]:
     """Return the parameters of cameras, each with a known centre."""
     centres = np.array([collimator.centre for collimator in collimators])
-    turns = rotations_from_centre(
-        homographies, np.array([view_camera.matrix for view_camera in cameras]), centres
-    )
+    turns = rotations_from_centre(homographies, np.array([each.matrix for each in cameras]), centres)
     offsets = np.zeros((len(homographies), 3))
     return [
         AdjustmentParameters(camera, Collimator(collimator.x, collimator.y, collimator.r), rotations, offsets)

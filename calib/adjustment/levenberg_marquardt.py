@@ -103,6 +103,7 @@ def refine(
         gain = 2.0 * (cost - new_cost) / predicted
         if gain > 0.0:
             parameters, cost, equations = moved, new_cost, None
+            # Nielsen takes a third as the least factor; with a tenth, damping is little again after fewer steps.
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         elif predicted * (1.0 + damping) <= bundle.rounding(cost):
             return Refinement(parameters, float(cost), True, iteration)

@@ -112,9 +112,8 @@ def _gross_stars(view: View) -> GrossStars:
     right = view.part(~wrong)
     spacing = local_spacing(right.target_mm)
     h = view_homography(right) @ np.diag([spacing, spacing, 1.0])
-    predicted = predict_locally(
-        h, right.target_mm / spacing, right.points_px, view.target_mm[wrong] / spacing
-    )
+    wanted = view.target_mm[wrong] / spacing
+    predicted = predict_locally(h, right.target_mm / spacing, right.points_px, wanted)
     distances = np.linalg.norm(view.points_px[wrong] - predicted, axis=1)
     is_wrong = wrong.copy()
     is_wrong[wrong] = far = distances > LIMIT_PX  # right stars amid many wrong ones seem wrong too

@@ -92,13 +92,8 @@ def check_hand_eye(
             other, best = tried[0]
             near = [each.kind for each, weighed in tried[1:] if weighed.worth > best.worth - ALONE]
             beside = tuple(kind for kind in near if kind != other.kind)
-    return replace(
-        _compared(best, scale_sigma, parallax_sigma),
-        other=other,
-        beside=beside,
-        names=names,
-        birge_ratio=birge_ratio,
-    )
+    check = _compared(best, scale_sigma, parallax_sigma)
+    return replace(check, other=other, beside=beside, names=names, birge_ratio=birge_ratio)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +121,9 @@ class _Stated:
         values = np.append(first_scales(self.rotations, model), model.start[len(model.free) :])
         start = global_fit(self.rotations, model, np.eye(len(self.covariance)), values)[0]
         moved = np.ptp(model.angles, axis=0) > MOVED_DEG
-        of_readings = _covariance_of(
-            self.sigma_rad * start.frames.motors[:, :, moved], model.angles[:, moved]
-        )
-        seen = SeenRotations(self.rotations, self.covariance + of_readings, start)
+        axes_rad = self.sigma_rad * start.frames.motors[:, :, moved]
+        covariance = self.covariance + _covariance_of(axes_rad, model.angles[:, moved])
+        seen = SeenRotations(self.rotations, covariance, start)
         first = seen.explain(model, start)
         last, found, worth = search(seen, first, self.axes)
         found = tuple(each for each in found if each.suspect not in model.suspects)

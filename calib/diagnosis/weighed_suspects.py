@@ -145,12 +145,8 @@ class SeenRotations:
             near.model.of(own, near.values) if own in known else np.zeros(own.size) for own in model.suspects
         ]
         values = np.concatenate([near.values[: len(model.free)], *sizes])
-        fit = fit_at(
-            self.rotations,
-            model,
-            np.eye(len(self.covariance)),
-            (near.camera_from_head, near.base_from_target, values),
-        )
+        start = near.camera_from_head, near.base_from_target, values
+        fit = fit_at(self.rotations, model, np.eye(len(self.covariance)), start)
         for _ in range(_ROUNDS):
             grid = self._grid(fit, [model.suspects])[:, :, 0]
             best = int(special.logsumexp(grid, axis=1).argmax())
@@ -263,10 +259,8 @@ def _described(
     spread = model.of(suspect, model.of(suspect, explained.covariance[6:, 6:]).T)
     value = model.of(suspect, explained.fit.values)
     others = tuple(other for other in model.suspects if other != suspect)
-    sets = [
-        others,
-        *((*others, other) for other in cost if other.kind != suspect.kind and other not in others),
-    ]
+    rivals = [other for other in cost if other.kind != suspect.kind and other not in others]
+    sets = [others, *((*others, other) for other in rivals)]
     worth = seen.likelihoods(explained.fit, sets) - [_sum(cost, each) for each in sets]
     best = explained.likelihood - _sum(cost, model.suspects)
     likely: dict[str, float] = {}
@@ -274,9 +268,8 @@ def _described(
         rival = seen.explain(replace(model, suspects=sets[k]), explained.fit)
         kind, own = sets[k][-1].kind, rival.likelihood - _sum(cost, sets[k])
         likely[kind] = max(own, likely.get(kind, -np.inf))
-    beside = sorted(
-        (kind for kind, own in likely.items() if own > best - ALONE), key=lambda kind: -likely[kind]
-    )
+    near = [kind for kind, own in likely.items() if own > best - ALONE]
+    beside = sorted(near, key=lambda kind: -likely[kind])
     beside += [kind for kind in _alike(suspect, value, len(seen.rotations)) if kind not in beside]
     length = float(np.linalg.norm(value))
     return Found(

@@ -150,12 +150,10 @@ class EventImages:
         if self._fired_in_halves is None:
             return None
         scale = 255.0 / (2 * (self.window[2] // 2))
-        first, second = (
-            self.silent.filled(
-                without_hot_pixels(np.asarray(cv2.convertScaleAbs(fired, alpha=scale), np.uint8), self.hot)
-            )
-            for fired in self._fired_in_halves
+        shares = (
+            np.asarray(cv2.convertScaleAbs(each, alpha=scale), np.uint8) for each in self._fired_in_halves
         )
+        first, second = (self.silent.filled(without_hot_pixels(share, self.hot)) for share in shares)
         return first, second
 
     def best(self, *, one_phase: bool = True) -> ChosenImage:

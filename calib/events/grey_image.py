@@ -25,9 +25,8 @@ def to_uint8(image: AnyArray) -> Bytes:
     values = np.ascontiguousarray(image, np.float32)
     sample = (values if values.size < 4_000_000 else values[::2, ::2]).ravel()
     finite = sample[np.isfinite(sample)]
-    low, high = (
-        np.quantile(finite, [CLIPPED_SHARE, 1.0 - CLIPPED_SHARE]).tolist() if finite.size else (0.0, 0.0)
-    )
+    ends = CLIPPED_SHARE, 1.0 - CLIPPED_SHARE
+    low, high = np.quantile(finite, ends).tolist() if finite.size else (0.0, 0.0)
     if finite.size and not high > low:
         low, high = float(finite.min()), float(finite.max())
     if not high > low:

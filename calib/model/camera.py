@@ -296,12 +296,9 @@ class CameraModel:
             determinant = _determinants(slope)
             # The distortion has folded back if the determinant is not positive.
             error = (wanted - distorted) / np.where(determinant > 0, determinant, np.nan)[:, None]
-            step = np.column_stack(
-                [
-                    slope[:, 1, 1] * error[:, 0] - slope[:, 0, 1] * error[:, 1],
-                    slope[:, 0, 0] * error[:, 1] - slope[:, 1, 0] * error[:, 0],
-                ]
-            )
+            along_x = slope[:, 1, 1] * error[:, 0] - slope[:, 0, 1] * error[:, 1]
+            along_y = slope[:, 0, 0] * error[:, 1] - slope[:, 1, 0] * error[:, 0]
+            step = np.column_stack([along_x, along_y])
             normalised = normalised + step
             normalised[np.abs(normalised) > _FARTHEST] = np.nan
             if not (np.abs(step) > 1e-14).any():
@@ -406,9 +403,8 @@ def undistort(
     scale, middle = np.array([pinhole.fx, pinhole.fy]), np.array([pinhole.cx, pinhole.cy])
     reach = _BEYOND * np.nanmax(np.linalg.norm(plane, axis=1))
     wanted = (pixels - middle) / scale
-    image_px = _in_blocks(
-        np.insert(wanted, 2, 1.0, axis=1), camera.project, lambda done, all_: progress(all_ + done, 2 * all_)
-    )
+    points = np.insert(wanted, 2, 1.0, axis=1)
+    image_px = _in_blocks(points, camera.project, lambda done, all_: progress(all_ + done, 2 * all_))
     seen = (np.linalg.norm(wanted, axis=1) <= reach) & np.isfinite(image_px).all(axis=1)
     pairs = rays, plane * scale + middle, np.where(seen[:, None], image_px, _OUTSIDE)
     of_rays, rectified, maps = (each.astype(np.float32).reshape(height, width, -1) for each in pairs)

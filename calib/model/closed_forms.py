@@ -110,9 +110,8 @@ def _image_conditioning(image_size: tuple[int, int]) -> Array:
     """Return the similarity that maps the image's centre to 0, half its diagonal to 1 (aim: Hartley, 1997)."""
     width, height = image_size
     scale = 2.0 / np.hypot(width, height)
-    return np.array(
-        [[scale, 0.0, -scale * (width - 1) / 2], [0.0, scale, -scale * (height - 1) / 2], [0.0, 0.0, 1.0]]
-    )
+    x, y = scale * (width - 1) / 2, scale * (height - 1) / 2
+    return np.array([[scale, 0.0, -x], [0.0, scale, -y], [0.0, 0.0, 1.0]])
 
 
 def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Array:
@@ -136,9 +135,8 @@ def zhang_matrix(
     to_unit, unknown = _image_conditioning(image_size), _IMAGE[: 4 if free_principal_point else 2]
     h, basis = to_unit @ homographies, _basis(unknown)
     h1, h2 = (h[:, :, column] / np.linalg.norm(h[:, :, 0], axis=1, keepdims=True) for column in (0, 1))
-    crossed, first, second = (
-        np.einsum("ni,kij,nj->nk", left, basis, other) for left, other in ((h1, h2), (h1, h1), (h2, h2))
-    )
+    pairs = (h1, h2), (h1, h1), (h2, h2)
+    crossed, first, second = (np.einsum("ni,kij,nj->nk", left, basis, right) for left, right in pairs)
     rows = np.concatenate([crossed, first - second])
     solution, _, rank, _ = np.linalg.lstsq(rows[:, :-1], -rows[:, -1], rcond=1e-9)
     w = _combined(solution, basis)

@@ -82,17 +82,12 @@ class Gimbal:
 
     def after_step(self, steps: Mapping[str, float]) -> Gimbal:
         """Return the gimbal after a step; a rotation is turned on its left side."""
-        turns = np.array([[steps.get(name, 0.0) for name in names] for names in (MOUNTING, STANDING)])
-        pan, tilt, roll = (
-            scale + steps.get(name, 0.0) for name, scale in zip(SCALES, self.scales, strict=True)
-        )
+        steps = {**dict.fromkeys(GIMBAL, 0.0), **steps}
+        turns = np.array([[steps[name] for name in names] for names in (MOUNTING, STANDING)])
+        pan, tilt, roll = (scale + steps[name] for name, scale in zip(SCALES, self.scales, strict=True))
         mounted, standing = exp_map(turns) @ np.array([self.camera_from_head, self.base_from_target])
-        return Gimbal(
-            mounted,
-            standing,
-            (pan, tilt, roll),
-            self.non_orthogonality + steps.get(NON_ORTHOGONALITY, 0.0),
-        )
+        leaning = self.non_orthogonality + steps[NON_ORTHOGONALITY]
+        return Gimbal(mounted, standing, (pan, tilt, roll), leaning)
 
 
 def aligned_gimbal(rotations: Array, angles_deg: Array) -> Gimbal:

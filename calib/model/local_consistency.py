@@ -63,9 +63,8 @@ class Nearest:
 
     def design(self, stars: Any, *, quadratic: bool = False) -> Array:
         """Return terms of local maps about (M,) stars, in spacings: (M, K, 3) 1, x, y; or 6, with x^2, x y and y^2."""
-        x, y = np.moveaxis(
-            (self.target[self.which[stars]] - self.target[stars][:, None]) / self.spacing, 2, 0
-        )
+        off = self.target[self.which[stars]] - self.target[stars][:, None]
+        x, y = np.moveaxis(off / self.spacing, 2, 0)
         terms = [np.ones_like(x), x, y]
         return np.stack([*terms, x * x, x * y, y * y] if quadratic else terms, axis=2)
 

@@ -57,10 +57,8 @@ class BudgetRow:
     def of(cls, name: str, kind: Literal["A", "B"], source: str, variances: Array, whole: Array) -> BudgetRow:
         """Return the row of a source from (5,) its variances of `ROW_QUANTITIES` and (5,) those of the whole result."""
         sigmas, shares = np.sqrt(np.maximum(variances, 0.0)), variances / np.where(whole > 0, whole, 1.0)
-        contribution, share = (
-            dict(zip(ROW_QUANTITIES, values.tolist(), strict=True)) for values in (sigmas, shares)
-        )
-        return cls(name, kind, source, contribution=contribution, share=share)
+        named = [dict(zip(ROW_QUANTITIES, each.tolist(), strict=True)) for each in (sigmas, shares)]
+        return cls(name, kind, source, contribution=named[0], share=named[1])
 
 
 @dataclass(frozen=True)

@@ -196,6 +196,7 @@ def bright_sites(sites: _Sites, gap: Array, variance: Array) -> _Sites:
     Expectation propagation (Minka, 2001) with all sites at once; moments of the probit factor: Rasmussen
     and Williams (2006), section 3.6. The (V, L) gaps to the rim, mm, and their variances are with these sites.
     """
+    # Without its own site a point may have nothing that holds it: its variance stays finite.
     alone = 1.0 / np.maximum(1.0 / variance - sites.precision, 1e-3 / variance)
     gap_alone = alone * (gap / variance - sites.shift)
     whole = alone + _LIT_SIGMA_MM**2
@@ -330,9 +331,8 @@ def _discs(
     """Return the discs from posteriors with (G,) shares, and from the (V,) sigmas of centres by each view alone."""
     shared, shared_covariance = _mixed(share, posterior.shared, posterior.shared_covariance)
     motion = DiscMotion(shared[2:6].reshape(2, 2), shared_covariance[2:6, 2:6])
-    centres, covariance = _mixed(
-        share, posterior.mean[..., :2].reshape(len(share), -1), posterior.joint_covariance
-    )
+    means = posterior.mean[..., :2].reshape(len(share), -1)
+    centres, covariance = _mixed(share, means, posterior.joint_covariance)
     covariance += np.diag(np.repeat([rim.level_sigma_mm**2 for rim in rims], 2))
     blocks = [covariance[i : i + 2, i : i + 2] for i in range(0, len(covariance), 2)]
     radii = np.abs(share @ posterior.mean[..., 2]).tolist()

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from calib.arrays import product_sigma
-from calib.errors import InputMismatch
+from calib.errors import InputMismatch, require_known
 from calib.model.passport import Passport
 from calib.view import View
 
@@ -69,12 +69,9 @@ class TypeBTerm:
     radius_mm: float | None = None
 
     def __post_init__(self) -> None:
-        for what, given, known in (
-            ("kind", self.kind, get_args(TermKind)),
-            ("distribution", self.distribution, get_args(Distribution)),
-        ):
-            if given not in known:
-                raise self._fault(f"Unknown {what} {given!r}.", f"Known: {', '.join(known)}.")
+        where = f"budget term {self.name}"
+        require_known("kind", self.kind, get_args(TermKind), where)
+        require_known("distribution", self.distribution, get_args(Distribution), where)
         if not self.source.strip():
             raise self._fault("It has no source.", "State where its value comes from.")
         if not 0 <= self.value < np.inf:

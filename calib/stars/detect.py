@@ -129,9 +129,8 @@ def detect_stars(
         require_grey_plane(image)
         values = np.asarray(image, np.float32)
         smoothed = smooth(values if np.isfinite(values.sum()) else np.nan_to_num(values), BLUR_PX)
-        candidates, sign, named_by = find_candidates(
-            to_uint8(image) if picture is None else picture, smoothed, target, expected
-        )
+        grey = to_uint8(image) if picture is None else picture
+        candidates, sign, named_by = find_candidates(grey, smoothed, target, expected)
         blurred = False
         for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
             _require_enough(len(candidates.nodes), blurred=blurred)

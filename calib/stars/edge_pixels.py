@@ -114,10 +114,8 @@ def _gather(
                 at_u, at_v = u * scale + half, v * scale + half
                 row, column = int(at_v), int(at_u)
                 a, b, p, q = at_u - column, at_v - row, np.uint64(row), np.uint64(column)
-                upper, lower = (
-                    taus[p, q + step] - taus[p, q],
-                    taus[p + step, q + step] - taus[p + step, q],
-                )
+                upper = taus[p, q + step] - taus[p, q]
+                lower = taus[p + step, q + step] - taus[p + step, q]
                 above, below = taus[p, q] + a * upper, taus[p + step, q] + a * lower
                 tau, edge = above + b * (below - above), nearest[p, q]
                 along_u, along_v = (upper + b * (lower - upper)) * scale, (below - above) * scale
@@ -172,9 +170,6 @@ def quantise(image: NDArray[Any]) -> Bytes:
         borders = np.unique(np.interp(place, np.arange(sample.size), sample))
     else:
         borders = (values[1:].astype(float) + values[:-1].astype(float)) / 2.0
-    if image.dtype.kind == "u" and image.dtype.itemsize <= 2:
-        every = np.arange(int(image.max()) + 1)
-        return np.searchsorted(borders, every, side="right").astype(np.uint8)[image]
     pixels = np.ravel(image if image.dtype == np.float32 else image.astype(np.float64))
     padded = np.append(borders, np.full(LEVELS - 1 - len(borders), np.inf))
     return np.asarray(np.minimum(_levels_of(pixels, padded), len(borders)).reshape(image.shape), np.uint8)

@@ -164,9 +164,8 @@ def _blurred_print(target: StarTarget, circle: float, sigma: float) -> Array32:
 
     spectrum = _print_spectrum(target)
     count = spectrum.shape[0]
-    k = np.hypot(
-        np.fft.fftfreq(count, 1.0 / PER_PITCH)[:, None], np.fft.rfftfreq(count, 1.0 / PER_PITCH)[None]
-    )
+    down, across = (waves(count, 1.0 / PER_PITCH) for waves in (np.fft.fftfreq, np.fft.rfftfreq))
+    k = np.hypot(down[:, None], across[None])
     z = np.maximum(np.pi * k * circle, 1e-9)
     transfer = 2.0 * j1(z) / z * np.exp(-2.0 * (np.pi * k * sigma) ** 2)
     return np.asarray(np.fft.irfft2(spectrum * transfer, s=(count, count)), np.float32)

@@ -67,9 +67,8 @@ def _without_slow_light(image: Array32) -> Array32:
     lit = cv2.erode(find_beam(image).lit, np.ones((5, 5), np.uint8), borderType=cv2.BORDER_REPLICATE)
     inside = cv2.resize(lit, image.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.float32)
     share = cv2.GaussianBlur(inside, (0, 0), SLOW_PX) + np.float32(1e-3)
-    return np.asarray(
-        (image - cv2.GaussianBlur(image * inside, (0, 0), SLOW_PX) / share) * inside, np.float32
-    )
+    slow = cv2.GaussianBlur(image * inside, (0, 0), SLOW_PX) / share
+    return np.asarray((image - slow) * inside, np.float32)
 
 
 def _autocorrelation(image: Array32, reach: int) -> Array32:

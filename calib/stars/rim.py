@@ -161,11 +161,13 @@ def _fall(section: Ints, rho: Array, along: Array, levels: Array, start: Array) 
         place, slope = start.copy(), np.zeros(len(start))
         for _ in range(_ROUNDS):
             sums, squares = _fall_sums(section, rho, along, level, place, slope, width)
+            # Ridges, for sections without samples near the fall, and with all of them at one place along it.
             a, b, c = sums[0] + 1e-3, sums[1], sums[2] + 1e-1
             determinant = a * c - b * b
             step = (c * sums[3] - b * sums[4]) / determinant
             if np.nanmax(np.abs(step), initial=0.0) < 2e-3:
                 break
+            # Steps are cut: beyond some widths the logistic function is flat, and a whole step would run away.
             place = place + np.clip(step, -0.5, 0.5)
             slope = np.clip(slope + np.clip((a * sums[4] - b * sums[3]) / determinant, -0.2, 0.2), -1.5, 1.5)
         if squares < best_squares:

@@ -171,6 +171,7 @@ def _refined_corners(picture: Array32, scale: float, corners: Array, target: Sta
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = (end - start) / np.linalg.norm(end - start)
         outward = np.array([along[1], -along[0]])
+        # Not near the corners, where a profile would cross two edges.
         places = start + np.linspace(0.12, 0.88, 32)[:, None] * (end - start)
         profiles = _values(picture, scale, (places[:, None] + offsets[:, None] * outward).reshape(-1, 2))
         answers = np.array([np.convolve(p, step[::-1], "same") for p in profiles.reshape(32, -1)])

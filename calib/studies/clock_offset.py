@@ -106,11 +106,8 @@ def _good_shifts(first: Array, second: Array) -> Array:
     for anchor in first[np.linspace(0, len(first) - 1, _ANCHORS + 2).astype(int)[1:-1]]:
         near = first[np.argsort(np.abs(first - anchor), kind="stable")[:_NEIGHBOURS]]
         tolerance = _JITTER_US + _LARGEST_RATE * np.abs(near - anchor)
-        fits = [
-            shift
-            for shift in _promising(near, second, second - anchor)
-            if _match(near, second, shift, tolerance)
-        ]
+        tried = _promising(near, second, second - anchor)
+        fits = [shift for shift in tried if _match(near, second, shift, tolerance)]
         if fits:
             return np.column_stack([np.full(len(fits), anchor), np.sort(fits)])
     return np.empty((0, 2))

@@ -199,9 +199,8 @@ def _visible(bench: ExpectedBench, points_mm: Array, rotation: Array) -> tuple[A
     centre = bench.collimator.centre
     off = np.column_stack([points_mm, np.zeros(len(points_mm))]) - centre
     pixels = bench.camera.project(off @ rotation.T)
-    inside = np.linalg.norm(off[:, :2], axis=1) < bench.collimator.r * np.tan(
-        np.deg2rad(bench.half_angle_deg)
-    )
+    radius = bench.collimator.r * np.tan(np.deg2rad(bench.half_angle_deg))
+    inside = np.linalg.norm(off[:, :2], axis=1) < radius
     return pixels, _framed(bench.camera, pixels, _BORDER_PX) & inside
 
 

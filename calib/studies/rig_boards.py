@@ -164,10 +164,8 @@ def with_boards(
         seen[1] = [
             _half_turned(view, board) if end else view for view, end in zip(seen[1], turned, strict=True)
         ]
-    information = linalg.block_diag(
-        np.linalg.inv(start.covariance) if not free else np.zeros_like(start.covariance),
-        np.zeros((3 if known else 6,) * 2),
-    )
+    of_cameras = np.zeros_like(start.covariance) if free else np.linalg.inv(start.covariance)
+    information = linalg.block_diag(of_cameras, np.zeros((3 if known else 6,) * 2))
     bundles, alone = zip(*(_alone(*pair) for pair in zip(cameras, seen, strict=True)), strict=True)
     state = _start(alone, start.rotation if known else None, len(information))
     left = 2.0 * np.array([len(bundle.observations.view) for bundle in bundles]) - 6 * len(names)
