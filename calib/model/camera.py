@@ -424,7 +424,8 @@ def _in_blocks(points: Array, work: Callable[[Array], Array], progress: Callable
 def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> CameraModel:
     """Return the pinhole whose image is a rectangle between the largest inside the rays and the smallest around them.
 
-    ``plane`` is (H, W, 2), the rays at the distance 1, NaN without a ray.
+    ``plane`` is (H, W, 2), the rays at the distance 1, NaN without a ray. Own: the sides of a rectangle fall on the
+    first and the last pixel centres, and the parameters of the two are mixed.
     """
     sides = (plane[:, 0, 0], plane[:, -1, 0], plane[0, :, 1], plane[-1, :, 1])
     if any(np.isnan(side).all() for side in sides):

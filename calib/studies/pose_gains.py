@@ -120,7 +120,7 @@ class PoseGains:
         return np.asarray(weight * maps.T @ self._poses.own[place] @ maps)
 
     def covariance(self, information: Array) -> Array:
-        """Return the (S, S) covariance of the shared unknowns."""
+        """Return the (S, S) covariance of the shared unknowns; scaled to a unit diagonal (van der Sluis, 1969)."""
         scale = 1.0 / np.sqrt(np.diag(information))
         inverse = np.linalg.inv(information * np.outer(scale, scale))
         return np.asarray(inverse * np.outer(scale, scale))
@@ -137,7 +137,7 @@ class PoseGains:
         return Sigmas(float(np.sqrt(max(camera[0, 0], 0.0))), float(np.sqrt(max(worst, 0.0))))
 
     def with_poses(self, covariance: Array, places: Sequence[int], weights: Sequence[float]) -> list[Sigmas]:
-        """Return what each of some further poses leaves of the (S, S) covariance without it."""
+        """Return what each of some further poses leaves of the (S, S) covariance without it (Woodbury, 1950)."""
         maps, camera = self._poses.maps[list(places)], self._poses.camera_size
         own = np.asarray(weights)[:, None, None] * self._poses.own[list(places)]
         moved = (maps.reshape(-1, maps.shape[2]) @ covariance).reshape(maps.shape)

@@ -97,7 +97,10 @@ class Rig:
     def compared(
         self, rotation: Array, translation_mm: Array | None, covariance: Array | None
     ) -> RigDifference:
-        """Compare with a stated rig, in what both hold: rotation second <- first, covariance as `pose_covariance`."""
+        """Compare with a stated rig, in what both hold: rotation second <- first, covariance as `pose_covariance`.
+
+        The distance of Mahalanobis (1936) of all components together, over the root of the 95 % limit of chi-square.
+        """
         turn = log_map((self.rotation @ rotation.T)[None])[0]
         known = self.pose_covariance
         size = 3 if self.translation_mm is None or translation_mm is None else 6
@@ -252,7 +255,9 @@ def _errors(calibration: Calibration) -> RotationErrors:
 def _one_collimator(first: RotationErrors, other: RotationErrors) -> tuple[Array, Array, Ints, Array]:
     """Return (U, U) information and (U,) pull with one collimator, and the (S,) places of the second's unknowns.
 
-    Also by how much the second calibration must move so that both have one collimator, (S,).
+    Also by how much the second calibration must move so that both have one collimator, (S,). Own: the information of
+    both is added, and what was known of the collimator beforehand is taken off once, with the other unknowns eliminated
+    from it (Schur complement).
     """
     k, shared = len(first.names), [name for name in CENTRE if name in first.names and name in other.names]
     own = iter(range(k, k + len(other.names)))
