@@ -116,6 +116,10 @@ class _Path(click.ParamType, ABC):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path after checking it. Raises UsageError, OSError."""
         del param, ctx
+        if not str(value):  # as of a variable that a script has not set; Path("") would be the current folder
+            raise UsageError(
+                "A path is empty.", remedy="Give its name; the current folder is a full stop (.)."
+            )
         path = Path(expand_home(str(value)))
         self.check(path)
         return path

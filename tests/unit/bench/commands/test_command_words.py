@@ -136,6 +136,16 @@ def test_a_missing_path_is_named_and_is_an_invalid_argument(say, words):
 
 
 @pytest.mark.parametrize(
+    "words", [("runs",), ("panel",), ("status",), ("calibrate", ".", "-o")], ids=" ".join
+)
+def test_an_empty_path_is_not_the_current_folder(say, words):
+    """As of a variable that a script has not set."""
+    status, out, message = say(*words, "")
+    assert (status, out) == (2, "")
+    assert "path is empty" in message
+
+
+@pytest.mark.parametrize(
     "words", [("run", "three_pose"), ("status",), ("calibrate", "--origin", "none", ".")]
 )
 def test_with_json_an_invalid_argument_is_an_object_too(say, words):
