@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from journals import CLOCKS
+from journals import CLOCK
 
 from bench.base.errors import StorageError
 from bench.evidence.seal import seal
@@ -93,7 +93,7 @@ def run_once(path, acknowledged, key=None):
     exists = (path / "journal.jsonl").exists()
     with RunFolder.open(path) if exists else RunFolder.create(path) as folder:
         opened = Journal.open if exists else Journal.create
-        with opened(folder.journal_path, **CLOCKS) as journal:
+        with opened(folder.journal_path, CLOCK) as journal:
             if exists:
                 recover(folder, journal)
             done = {e.data["pose"] for e in journal.entries if e.event == CAPTURE_STORED}
