@@ -2,13 +2,9 @@
 
 import threading
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from bench.base.errors import EvidenceError, JournalBroken
 from bench.extras.certificate.series import (
@@ -19,7 +15,6 @@ from bench.extras.certificate.series import (
     enter_issued,
     numbers,
     one_at_a_time,
-    open_numbers,
     reserve,
 )
 from bench.record.ledger import Ledger
@@ -116,7 +111,10 @@ def test_only_the_newest_certificate_can_be_amended(bench):
     ):
         with pytest.raises(EvidenceError, match=why):
             bench.reserve("a", **facts)
-    assert bench.issue("a", amends=second) == "SB-2026-00003"
+    left = bench.reserve("a", amends=second).number
+    with pytest.raises(EvidenceError, match=f"{left} .*certificate void {left}"):
+        bench.reserve("a", also="a copy")
+    assert bench.issue("a", amends=second) == left == "SB-2026-00003"
 
 
 def test_a_clock_that_was_set_back_is_noticed(bench):
@@ -171,71 +169,3 @@ def test_two_processes_take_turns(bench):
         order.append("first")
     thread.join()
     assert order == ["first", "other"]
-
-
-class Laboratory(RuleBasedStateMachine):
-    """Commands in any order; each may be killed after the number was reserved."""
-
-    folder: Path
-
-    def __init__(self):
-        super().__init__()
-        type(self).count = getattr(type(self), "count", 0) + 1
-        self.bench = Bench(self.folder / f"home{self.count}")
-        self.newest = {}
-        self.given = []
-        self.left = None
-
-    @rule(run=st.sampled_from("abc"), killed=st.booleans(), also=st.booleans())
-    def issue(self, run, killed, also):
-        facts = {"also": "wanted"} if also else {}
-        refused = (self.left and self.left[1:] != (run, "")) or (run in self.newest) != also
-        self.attempt(run, "", killed, facts, refused=bool(refused))
-
-    @precondition(lambda self: self.newest)
-    @rule(data=st.data(), killed=st.booleans())
-    def amend(self, data, killed):
-        run = data.draw(st.sampled_from(sorted(self.newest)))
-        old = self.newest[run]
-        refused = self.left and self.left[1:] != (run, old)
-        self.attempt(run, old, killed, {"amends": old}, refused=bool(refused))
-
-    def attempt(self, run, old, killed, facts, *, refused):
-        if refused:
-            with pytest.raises(EvidenceError):
-                self.bench.reserve(run, **facts)
-            return
-        number = self.bench.reserve(run, **facts).number
-        assert number not in self.given
-        assert self.left is None or self.left[0] == number
-        if killed:
-            self.left = (number, run, old)
-            return
-        enter_issued(self.bench.ledger, number, seal="5" * 64, serial="1", customer="C")
-        self.left = None
-        self.given.append(number)
-        if old or run not in self.newest:
-            self.newest[run] = number
-
-    @precondition(lambda self: self.left)
-    @rule()
-    def void(self):
-        declare_void(self.bench.ledger, self.left[0], reason="killed", by="Ada")
-        self.given.append(self.left[0])
-        self.left = None
-
-    @invariant()
-    def numbers_have_no_gap(self):
-        numbers = self.bench.numbers()
-        assert [entry.count for entry in numbers.values()] == list(range(1, len(numbers) + 1))
-        assert {entry.number for entry in numbers.values() if entry.how != "reserved"} == set(self.given)
-        assert [entry.number for entry in open_numbers(numbers)] == ([self.left[0]] if self.left else [])
-
-
-def test_any_order_of_commands_and_kills_leaves_no_gap(tmp_path):
-    from hypothesis.stateful import run_state_machine_as_test
-
-    Laboratory.folder = tmp_path
-    run_state_machine_as_test(
-        Laboratory, settings=settings(max_examples=15, stateful_step_count=15, deadline=None, database=None)
-    )
