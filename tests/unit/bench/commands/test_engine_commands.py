@@ -27,7 +27,6 @@ def points(tmp_path_factory):
     )
 
 
-@pytest.mark.slow
 def test_with_a_passport_one_view_is_enough(capsys, points, tmp_path):
     folder, bench = points
     file = tmp_path / "collimator.json"
