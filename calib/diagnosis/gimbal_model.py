@@ -151,11 +151,6 @@ class GimbalFit:
         return np.asarray(linalg.null_space(_unit_columns(self.jacobian)[0], rcond=_DETERMINED))
 
     @property
-    def degrees_of_freedom(self) -> int:
-        """How many measured numbers there are more than parameters that they determine."""
-        return len(self.off) - self.jacobian.shape[1] + self.open_directions.shape[1]
-
-    @property
     def undetermined_scales(self) -> bool:
         """Whether different scales give the same rotations."""
         return bool((np.abs(self.open_directions[6 : 6 + len(self.model.free)]) > _SAME).any())
