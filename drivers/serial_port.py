@@ -210,7 +210,7 @@ class LineSettings(NamedTuple):
     """Settings of a serial line."""
 
     baudrate: int  # Bits per second
-    rtscts: bool = False  # Whether the device holds the sender by the lines RTS and CTS
+    rtscts: bool = False  # Whether the line has hardware flow control
     frame: str = "8N1"  # Data bits, parity (none, even, odd) and stop bits
     xonxoff: bool = False  # Whether the bytes XON and XOFF hold the sender
 

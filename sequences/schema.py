@@ -235,7 +235,7 @@ class RecordConfig(StrictModel):
     image: ImageKind = "auto"
     attempts: Annotated[int, Field(ge=1, le=20)] = 2
     backoff_s: Annotated[float, Field(ge=0, le=600)] = 0.0
-    """Pause before the second attempt; doubles before each further one."""
+    """Pause before the second attempt. Each further pause is twice as long."""
     on_failure: OnFailure = "fail"
     """What to do when no attempt is left."""
     hold_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 3600.0

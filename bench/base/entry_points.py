@@ -41,7 +41,7 @@ def load_entry(entry: EntryPoint) -> Any:
         needed = entry.module.rpartition(".")[0] or entry.module
         what = f"The {_named(entry)} needs the package {needed}, which is missing."
         raise ExtraMissing(what, remedy=f"Install it again: {_package(entry)} declares it.") from error
-    except Exception as error:  # a package of others may raise anything
+    except Exception as error:  # another package may raise anything
         raise _unusable(entry, error) from error
 
 

@@ -97,7 +97,7 @@ class SerialLine(StrictModel):
     """Keys of a serial line that every driver with one port has; each driver has its own baud rate."""
 
     rtscts: bool | None = None
-    """Whether the lines RTS and CTS hold the sender. Default: as the maker of the device says."""
+    """Whether the line has hardware flow control (RTS/CTS). Default: as the maker of the device says."""
     frame: Frame | None = None
     """Data bits, parity and stop bits. Default: as the maker of the device says."""
     xonxoff: bool | None = None

@@ -57,7 +57,7 @@ class ThorlabsAxisConfig(AxisConfig):
     home_direction: Literal["forward", "reverse"] | None = None
     """Direction of the reference search. Default: reverse (K10CR1, PRM1Z8)."""
     home_speed_deg_s: Speed | None = None
-    """Speed of the reference search. Default: 10, or speed_deg_s if lower."""
+    """Speed of the reference search. Default: 10, but at most speed_deg_s."""
     tolerance_deg: Tolerance = 0.005
 
 

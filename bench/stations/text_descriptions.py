@@ -93,7 +93,7 @@ class LineConfig(StrictModel):
 
     baudrate: Annotated[int, Within(50, 20_000_000, "Bd")]
     rtscts: bool = False
-    """Whether the device uses the lines RTS and CTS to hold the sender."""
+    """Whether the line has hardware flow control (RTS/CTS)."""
     frame: Frame = "8N1"
     """Data bits, parity and stop bits."""
     xonxoff: bool = False

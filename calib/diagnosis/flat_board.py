@@ -47,7 +47,7 @@ def require_turns(views: Sequence[View]) -> None:
     turned, placed = (_adjusted(views, planar=planar) for planar in (False, True))
     rounding = _ROUNDING**2 * 2 * _STARS * n
     share = (turned.cost + rounding) / (placed.cost + rounding)
-    if fdtrc(freed, left, max(0.0, (share - 1.0) * left / freed)) < _LEVEL and _orbits(placed.parameters):
+    if fdtrc(freed, left, max(0.0, (share - 1.0) * left / freed)) < _LEVEL and orbits(placed.parameters):
         raise DegenerateViews(
             "These views show a flat board at a finite distance: the camera was at other places. The residuals of turns"
             f" in a collimator are {share**0.5:.3g} times as large.",
@@ -66,7 +66,7 @@ def _adjusted(views: Sequence[View], *, planar: bool) -> Refinement[AdjustmentPa
     return refine(bundle, start, Loss("l2"), _STEPS, _TOLERANCE)
 
 
-def _orbits(poses: AdjustmentParameters) -> bool:
+def orbits(poses: AdjustmentParameters) -> bool:
     """Tell whether, from view to view, the camera went round the board rather than turned where it was."""
     first, second = np.triu_indices(len(poses.centres), 1)
     cosines = (np.einsum("nij,nij->n", poses.rotations[first], poses.rotations[second]) - 1.0) / 2.0

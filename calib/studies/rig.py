@@ -99,7 +99,7 @@ class Rig:
     ) -> RigDifference:
         """Compare with a stated rig, in what both hold: rotation second <- first, covariance as `pose_covariance`.
 
-        The distance of Mahalanobis (1936) of all components together, over the root of the 95 % limit of chi-square.
+        The Mahalanobis distance (1936) of all components, over the square root of the 95 % quantile of chi-square.
         """
         turn = log_map((self.rotation @ rotation.T)[None])[0]
         known = self.pose_covariance

@@ -74,7 +74,7 @@ class PseudoTerminal:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the client. Those that do not fit into the terminal's buffer are lost, as on a real line."""
+        """Send bytes to the client. What its buffer cannot hold is lost, as on a real line."""
         try:
             os.write(self._master, data)
         except BlockingIOError:

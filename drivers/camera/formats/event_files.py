@@ -115,7 +115,7 @@ def brought_formats() -> tuple[Sequence[Any], Sequence[tuple[EntryPoint, str]]]:
     for entry in entry_points(group=GROUP):
         try:
             formats.append(entry.load())
-        except Exception as error:  # noqa: BLE001 - a package of others may raise anything
+        except Exception as error:  # noqa: BLE001 - another package may raise anything
             unusable.append((entry, f"{type(error).__name__}: {error}"))
     return formats, unusable
 

@@ -96,7 +96,7 @@ class Peer:
                 self.trigger_in["enabled"] = request["enabled"]
 
     def _stream(self):
-        """Send words until a request comes, and as a camera does, some more before its answer."""
+        """Send words until a request comes. Send some more before the answer, as a camera does."""
         for step in range(self.frames):
             self.before_frame.get(step, lambda: None)()
             self.send(b"D", words_of(step))
