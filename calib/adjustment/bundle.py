@@ -69,11 +69,11 @@ class Bundle:
     ) -> ViewEquations:
         """Linearise the cost by Gauss and Newton (Triggs et al., 2000, section 4.3).
 
-        All stars must be before the camera. ``curved``: with the curvature of the robust cost, not of least squares.
+        NaN where a star cannot be projected. ``curved``: with the curvature of the robust cost, not of least squares.
         """
-        residuals = self.weighted_residuals(parameters)
-        influence = residuals * loss.weights(lengths(residuals))[:, None]
-        slopes = curving = self.derivatives(parameters)
+        residuals, slopes = self.linearised(parameters)
+        distances, curving = lengths(residuals), slopes
+        influence, costs = residuals * loss.weights(distances)[:, None], loss.costs(distances)
         if curved and loss.name != "l2":
             curving = mapped(loss.curvature_root(residuals), slopes)
         normal, right = [], []
@@ -81,7 +81,8 @@ class Bundle:
             bent, steep = (each[:, :, rows].reshape(len(each), -1) for each in (curving, slopes))
             normal.append(bent @ bent.T)
             right.append(steep @ influence[rows].T.ravel())
-        return ViewEquations(np.array(normal), np.array(right), len(self.names))
+        by_view = np.array([costs[rows].sum() for rows in self.observations.slices])
+        return ViewEquations(np.array(normal), np.array(right), len(self.names), by_view)
 
     def rounding(self, cost: float) -> float:
         """Return how much rounding of the image points changes the cost.
@@ -108,13 +109,14 @@ class Bundle:
         turns = parameters.rotations[obs.view].transpose(1, 2, 0)
         return np.asarray(turns[:, 0] * x + turns[:, 1] * y + turns[:, 2] * z)
 
-    def derivatives(self, parameters: AdjustmentParameters) -> Array:
-        """Return the (G + L, 2, N) derivatives of the weighted image points, one row of stars for each.
+    def linearised(self, parameters: AdjustmentParameters) -> tuple[Array, Array]:
+        """Return the (N, 2) weighted residuals, and the (G + L, 2, N) derivatives of the weighted image points.
 
         Own, by the chain rule: a rotation t on the camera's side moves P by t x P, a shift s of the centre by -R s.
         """
         obs, points = self.observations, self._in_camera(parameters)
-        _, by_point, by_camera = parameters.camera.project_with_jacobians(points.T)
+        before = np.where(points[2] > 0, points, np.nan)
+        pixels, by_point, by_camera = parameters.camera.project_with_jacobians(before.T)
         slopes = by_point.transpose(2, 1, 0)
         (x, y, z), (u, v, w) = points, slopes
         turned = [y * w - z * v, z * u - x * w, x * v - y * u]
@@ -125,7 +127,7 @@ class Bundle:
         if RADIAL_TERM in self.names:
             known |= self._by_distorted_glass(parameters, moved)
         rows = [*(known[name] for name in self.names), *turned, *(moved if self.free_centres else ())]
-        return mapped(obs.factors, np.array(rows))
+        return mapped(obs.factors, (obs.points_px - pixels).T).T, mapped(obs.factors, np.array(rows))
 
     def _by_distorted_glass(self, parameters: AdjustmentParameters, moved: Array) -> dict[str, Array]:
         """Return the (2, N) derivatives by centre and radial distortion; ``moved`` (3, 2, N) those without distortion.
@@ -227,6 +229,7 @@ class ViewEquations:
     normal: Array  # (n, G + L, G + L) float64
     right: Array  # (n, G + L) float64 negative gradients of the cost
     count: int  # G
+    costs: Array  # (n,) float64 cost of each view; NaN if one of its stars cannot be projected
 
     @property
     def local(self) -> Array:

@@ -48,11 +48,8 @@ class Adjustable(Protocol[A_contra]):
     def names(self) -> tuple[str, ...]:
         """Names of the shared unknowns."""
 
-    def costs(self, parameters: A_contra, loss: Loss, /) -> Array:
-        """Return the (n,) cost of each view, NaN if it cannot be projected."""
-
     def equations(self, parameters: A_contra, loss: Loss, /) -> ViewEquations:
-        """Return the normal equations."""
+        """Return the normal equations, with the cost of each view."""
 
     def rounding(self, cost: float, /) -> float:
         """Return how much rounding of the image points changes the cost."""
@@ -81,12 +78,12 @@ def refine(
     It ends when the predicted reduction is below the share ``tolerance`` of the cost. ``converged`` is False if the
     number of steps was reached, or if a star cannot be projected at the start.
     """
-    parameters, cost = start, bundle.costs(start, loss).sum()
+    parameters, equations = start, bundle.equations(start, loss)
+    cost = equations.costs.sum()
     if not np.isfinite(cost):
         return Refinement(start, math.inf, False, 0)
-    damping, growth, iteration, equations = _FIRST_DAMPING, 2.0, 0, None
+    damping, growth, iteration = _FIRST_DAMPING, 2.0, 0
     while iteration < max_iterations and damping < _MAX_DAMPING:
-        equations = equations or bundle.equations(parameters, loss)
         iteration += 1
         try:
             shared, local = equations.step(damping)
@@ -99,10 +96,10 @@ def refine(
         if predicted * (1.0 + damping) <= tolerance * cost + _ABSOLUTE_TOLERANCE:
             return Refinement(parameters, float(cost), True, iteration)
         moved = parameters.after_step(bundle.names, shared, local)
-        new_cost = bundle.costs(moved, loss).sum()
-        gain = 2.0 * (cost - new_cost) / predicted
+        there = bundle.equations(moved, loss)
+        gain = 2.0 * (cost - there.costs.sum()) / predicted
         if gain > 0.0:
-            parameters, cost, equations = moved, new_cost, None
+            parameters, cost, equations = moved, there.costs.sum(), there
             # Nielsen takes a third as the least factor; with a tenth, damping is little again after fewer steps.
             damping, growth = damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         elif predicted * (1.0 + damping) <= bundle.rounding(cost):

@@ -190,12 +190,12 @@ class _Seen:
         if refined is None or not refined.converged:
             raise DegenerateViews("The stated camera does not see these points on a plane before it.")
         posed = refined.parameters
-        rows = bundle.derivatives(posed).transpose(2, 1, 0).reshape(-1, len(camera.values) + 6)
+        residuals, slopes = bundle.linearised(posed)
+        rows = slopes.transpose(2, 1, 0).reshape(-1, len(camera.values) + 6)
         by_camera, by_pose = rows[:, :-6], rows[:, -6:]
-        residuals = bundle.weighted_residuals(posed).ravel()
         pose = np.linalg.qr(by_pose)[0]
         columns = by_camera - pose @ (pose.T @ by_camera)
-        residuals = residuals - pose @ (pose.T @ residuals)
+        residuals = residuals.ravel() - pose @ (pose.T @ residuals.ravel())
         whole = np.linalg.norm(by_camera, axis=0)
         left, sizes, _ = np.linalg.svd(columns / whole, full_matrices=False)
         return cls(residuals, columns, left[:, sizes > _UNSEEN], bundle.observations.whitening)

@@ -85,11 +85,6 @@ class _Boards:
         """Return the (m, 2) sums of squares of each board in each image; NaN behind a camera."""
         return _squares((self.first, self.second), (state.first, state.second))
 
-    def costs(self, state: _State, _loss: Loss) -> Array:
-        """Return the (m + 1,) costs of the boards, and that of the prior."""
-        prior = state.away @ self.information @ state.away
-        return 0.5 * np.append(self.squares(state).sum(axis=1), prior)
-
     def equations(self, state: _State, loss: Loss) -> ViewEquations:
         """Return the normal equations; the prior stands as a board of its own, whose pose does not matter.
 
@@ -115,7 +110,8 @@ class _Boards:
         right[:-1, at] += own.right
         normal[-1, :size, :size], normal[-1, size:, size:] = self.information, np.eye(6)
         right[-1, :size] = -self.information @ state.away
-        return ViewEquations(normal, right, size)
+        prior = 0.5 * state.away @ self.information @ state.away
+        return ViewEquations(normal, right, size, np.append(own.costs + other.costs, prior))
 
     def rounding(self, cost: float) -> float:
         """Return how much rounding of the image points changes the cost."""

@@ -201,7 +201,7 @@ def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) 
     residuals, poses = list[Array](), views_of_poses(parameters.rotations)
     if len(poses) < _MIN_POSES:
         return None
-    known = bundle.equations(parameters, loss), bundle.costs(parameters, loss)
+    known = bundle.equations(parameters, loss)
     for views in poses:
         others = without_pose(bundle, views, parameters, loss, known)
         residuals += [predicted_residuals(bundle, i, parameters, others) for i in views]
@@ -213,17 +213,17 @@ def without_pose(
     views: Sequence[int],
     parameters: AdjustmentParameters,
     loss: Loss,
-    known: tuple[ViewEquations, Array] | None = None,
+    known: ViewEquations | None = None,
 ) -> AdjustmentParameters:
-    """Adjust without the views of a pose, from the optimum of all; ``known``: its equations and costs, if at hand.
+    """Adjust without the views of a pose, from the optimum of all; ``known``: its equations, if at hand.
 
     These equations without the pose give the step (a downdate; Cook and Weisberg, 1982, section 3.4). If it reaches
     what it promises, it is the answer; else a search goes on from it: with few poses, one of them moves the others far.
     """
     others = [i for i in range(len(parameters.rotations)) if i not in views]
     fewer, start = bundle.subset(others), parameters.subset(others)
-    every, costs = known or (bundle.equations(parameters, loss), bundle.costs(parameters, loss))
-    rest = replace(every, normal=every.normal[others], right=every.right[others])
+    every = known or bundle.equations(parameters, loss)
+    rest = ViewEquations(every.normal[others], every.right[others], every.count, every.costs[others])
     try:
         shared, local = rest.step(0.0)
     except np.linalg.LinAlgError:
@@ -231,7 +231,7 @@ def without_pose(
     moved = start.after_step(bundle.names, shared, local)
     count = len(shared)
     promised = 0.5 * float(rest.right[:, :count].sum(axis=0) @ shared + (rest.right[:, count:] * local).sum())
-    reached = float(costs[others].sum() - fewer.costs(moved, loss).sum())
+    reached = float(every.costs[others].sum() - fewer.costs(moved, loss).sum())
     if reached >= _PROMISED * promised:
         return moved
     return refine(fewer, moved if reached > 0 else start, loss, tolerance=_TOLERANCE).parameters
