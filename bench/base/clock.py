@@ -9,7 +9,6 @@ made safe, the clock is ``shielded`` from both; the third signal, if SIGINT (Ctr
 
 from __future__ import annotations
 
-import queue
 import signal
 import sys
 import threading
@@ -49,7 +48,8 @@ class BenchClock:
     """The system's time, with a request to stop that ends every wait. The thread that makes it is the work's thread."""
 
     def __init__(self) -> None:
-        self._woken: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._woken = threading.Lock()  # a request releases it, the end of a wait takes it
+        self._woken.acquire()
         self._stop: str | None = None
         self._failure: Exception | None = None
         self._interruption: str | None = None
@@ -103,16 +103,19 @@ class BenchClock:
     def _wait(self, seconds: float) -> bool:
         """Wait until somebody asks to end the wait, at most so long, s; return whether somebody has.
 
-        A signal handler may ask at any line here: it would deadlock at the lock of an Event, and ``SimpleQueue.put`` is
-        reentrant.
+        A signal handler may ask at any line here: it would deadlock at the lock of an Event. A queue's ``get`` with a
+        time limit never ends where that passes between its first and its second try (CPython 3.11 and 3.12).
         """
         deadline_s = time.monotonic() + seconds
         while not self._is_requested and (left_s := deadline_s - time.monotonic()) > 0:
-            with suppress(queue.Empty):
-                self._woken.get(timeout=left_s)
+            self._woken.acquire(timeout=left_s)
         if self._is_requested:
-            self._woken.put(None)  # for another thread that waits
+            self._wake()  # another thread that waits
         return self._is_requested
+
+    def _wake(self) -> None:
+        with suppress(RuntimeError):  # somebody else has asked before, and no wait has ended since
+            self._woken.release()
 
     def in_parallel(self, work: Callable[[], Result]) -> Callable[[], Result]:
         """Begin work that goes on while this clock's worker does other things; return what waits for its result."""
@@ -132,7 +135,7 @@ class BenchClock:
         """Ask the run to stop at its next wait; the first request counts. Safe in a signal handler or thread."""
         if self._stop is None:
             self._stop = reason
-            self._woken.put(None)
+            self._wake()
 
     def request_failure(self, error: Exception) -> None:
         """Ask the run to raise this error at its next wait, because a thread beside the work has failed."""
@@ -144,7 +147,7 @@ class BenchClock:
         """Ask the work to pause at its next wait. A request to stop takes precedence."""
         if self._interruption is None:
             self._interruption = reason
-            self._woken.put(None)
+            self._wake()
 
     def clear_interruption(self) -> None:
         """Withdraw the request to pause. A request to stop remains."""

@@ -32,6 +32,7 @@ def left_out_rms(optimum: Optimum) -> float | None:
     n = bench.n_poses
     if n < MIN_POSES:
         return None
+    there = _as_shown(marginal.problem)
     normal = normal_of_poses(marginal, solution.squares)
     maps = maps_with_gimbal(bench, marginal.equations.maps)
     information = np.linalg.inv(solution.covariance)
@@ -40,7 +41,7 @@ def left_out_rms(optimum: Optimum) -> float | None:
         own = maps[pose].T @ normal[pose]
         others = information - own[:, :-1] @ maps[pose]
         left = np.linalg.solve(others, information @ solution.step - own[:, -1])
-        there, state = _predicted(optimum, pose, np.asarray(left, np.float64))
+        state = _predicted(optimum, there, pose, np.asarray(left, np.float64))
         residuals = there.residuals(state)
         seen = (bench.poses[bench.stars.views] == pose) & np.isfinite(residuals).all(axis=1)
         total += float(weights[seen] @ (residuals[seen] ** 2).sum(axis=1))
@@ -48,10 +49,9 @@ def left_out_rms(optimum: Optimum) -> float | None:
     return float(np.sqrt(total / count))
 
 
-def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
-    """Return bench and state after a step (S,) of the shared unknowns, with what a left-out pose has for itself."""
-    problem, equations, state = optimum.marginal.problem, optimum.marginal.equations, optimum.state
-    layout, there = problem.bench.layout, _as_shown(problem, pose)
+def _predicted(optimum: Optimum, there: Bench, pose: int, step: Array) -> State:
+    """Return the state after a step (S,) of the shared unknowns, with what a left-out pose has for itself."""
+    equations, state, layout = optimum.marginal.equations, optimum.state, there.layout
     step_of_basis = there.maps[pose] @ (state.shared + step) - equations.maps[pose] @ state.shared
     step_of_basis[layout.own.places] -= state.fields[pose]
     fields = state.fields.copy()
@@ -67,17 +67,12 @@ def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
     moved = there.moved(state, step, fields - state.fields, turned)
     if relative_step(optimum.marginal, step) > CURVED:
         moved = there.aligned(moved, equations.weights)
-    return there, State(moved.shared, fields, moved.rotations)
+    return State(moved.shared, fields, moved.rotations)
 
 
-def _as_shown(problem: Problem, pose: int) -> Bench:
-    """Return the bench whose pupil of one pose is where its disc shows it, if the camera is moved by hand."""
-    bench, pupils = problem.bench, problem.pupils
-    if pupils is None:
-        return bench
-    places = bench.pupils.copy()
-    places[pose] = pupils.shown[pose]
-    return replace(bench, pupils=places)
+def _as_shown(problem: Problem) -> Bench:
+    """Return the bench whose pupils are where their discs show them, if the camera is moved by hand."""
+    return problem.bench if problem.pupils is None else replace(problem.bench, pupils=problem.pupils.shown)
 
 
 def rotation_errors(posterior: Posterior) -> RotationErrors:
