@@ -197,7 +197,10 @@ def test_an_axis_with_a_fault_is_not_moved_until_it_is_homed_again(bench, flag) 
 @pytest.mark.parametrize(
     ("asked_of", "place", "word"),
     [
-        *(("01 get pos", place, word) for place, word in ((0, "02"), (1, "2"), (6, "12.5"), (6, "1_0"))),
+        *(
+            ("01 get pos", place, word)
+            for place, word in ((0, "02"), (1, "2"), (2, "70"), (6, "12.5"), (6, "1_0"))
+        ),
         ("01 warnings", 6, "02 WR"),
     ],
 )
@@ -217,6 +220,16 @@ def test_a_flag_hidden_behind_a_more_urgent_one_is_found_at_the_end(bench) -> No
 
 
 # ---------------------------------------------------------------- the line, and stops
+@pytest.mark.parametrize("order", ["move", "home"])
+def test_an_order_to_move_is_not_given_again_when_its_reply_is_lost(bench, order) -> None:
+    stage = bench.homed()
+    bench.line.spoil = lambda reply: b"" if f" {order}".encode() in bench.line.sent[-1] else reply
+    with pytest.raises(ReplyError):
+        stage.home() if order == "home" else stage.move_to({"pan": 9.0})
+    assert len(bench.motions()) == 1
+    assert not stage.is_homed()
+
+
 def test_a_stop_reaches_all_axes_with_one_line(bench) -> None:
     stage = bench.homed()
     bench.go("pan")
