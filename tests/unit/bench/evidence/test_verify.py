@@ -4,17 +4,13 @@ import json
 import os
 import re
 import shutil
-from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from bench.base.errors import RunFolderError
 from bench.evidence.keys import create_key
 from bench.evidence.seal import make_manifest, seal, seal_folder
 from bench.evidence.signers import NAMESPACE
-from bench.evidence.sshsig import read_signature
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import copied, kinds, reseal
 
@@ -171,63 +167,27 @@ def test_what_is_no_run_folder_is_an_error(tmp_path):
             verify_folder(path, [])
 
 
-# ------------------------------------------------------------------ anything else
+# ------------------------------------------------------------------ each file
 
 
-def files_of(folder):
-    return sorted(p for p in folder.rglob("*") if p.is_file())
+DAMAGE = {
+    "changed": lambda data: (
+        data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 0x80]) + data[len(data) // 2 + 1 :]
+    ),
+    "cut": lambda data: data[: len(data) // 2],
+    "longer": lambda data: data + b"x",
+    "empty": lambda _data: b"",
+}
 
 
-TAMPERINGS = st.tuples(
-    st.sampled_from(["change", "cut", "extend", "delete", "rename", "copy", "swap"]),
-    st.integers(0, 10**6),
-    st.integers(0, 10**6),
-    st.binary(min_size=1, max_size=40),
-)
-"""What somebody might do to a file: how, to which one, where and with what."""
-
-
-def tamper(folder, tampering):
-    kind, which, where, data = tampering
-    files = files_of(folder)
-    path, other = files[which % len(files)], files[where % len(files)]
-    content = path.read_bytes()
-    at = where % (len(content) + 1)
-    if kind == "change":
-        path.write_bytes(content[:at] + data + content[at + len(data) :])
-    elif kind == "cut":
-        path.write_bytes(content[:at])
-    elif kind == "extend":
-        path.write_bytes(content + data)
-    elif kind == "delete":
-        path.unlink()
-    elif kind == "rename":
-        path.rename(path.with_name(path.name + "x"))
-    elif kind == "copy":
-        (folder / f"copy{which}").write_bytes(content)
-    else:
-        path.write_bytes(other.read_bytes())
-        other.write_bytes(content)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=100)
-@given(st.lists(TAMPERINGS, min_size=1, max_size=3))
-def test_whatever_is_done_to_a_sealed_folder_is_found_and_told_without_a_crash(
-    sealed_once, signers, tmp_path, done
-):
-    folder = tmp_path / "tampered"
-    shutil.rmtree(folder, ignore_errors=True)
-    copied(sealed_once, folder)
-    before = {p.relative_to(folder): p.read_bytes() for p in files_of(folder)}
-    for tampering in done:
-        tamper(folder, tampering)
-    after = {p.relative_to(folder): p.read_bytes() for p in files_of(folder)}
-    try:
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_of_whichever_file_is_found_and_told_without_a_crash(sealed_once, signers, tmp_path, damage):
+    folder = copied(sealed_once, tmp_path / "run")
+    for path in [path for path in folder.rglob("*") if path.is_file()]:
+        data = path.read_bytes()
+        path.write_bytes(DAMAGE[damage](data))
         verification = verify_folder(folder, signers)
-    except RunFolderError:
-        assert not {"SHA256SUMS", "journal.jsonl"} & {p.name for p in after}
-        return
-    if verification.ok != (after == before):  # the armour of a signature may end in spaces and be the same
-        assert {p.name for p in before if before.get(p) != after.get(p)} == {"SHA256SUMS.sig"}
-        assert read_signature(after[Path("SHA256SUMS.sig")]) == read_signature(before[Path("SHA256SUMS.sig")])
-    json.dumps(verification.to_dict())
+        assert verification.ok is (path.read_bytes() == data), path
+        json.dumps(verification.to_dict())
+        path.write_bytes(data)
+    assert verify_folder(folder, signers).ok
