@@ -1,4 +1,4 @@
-"""A headless Chromium for tests of the align page."""
+"""A headless Chromium, and a tab of it for tests of the align page."""
 
 import os
 import re

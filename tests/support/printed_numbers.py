@@ -5,26 +5,18 @@ import re
 import unicodedata
 from datetime import datetime
 
+from bench.base.bounded_json import leaves
+
 SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 NUMBER = re.compile(r"(?<![\w.])[-\u2212]?\d+(?:\.\d+)?(?:e-?\d{1,3}(?!\w)|·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?(?!\w)")
 NOT_PRINTED = ("format", "language", "series", "title", "laboratory.place_kind")
 """Fields for machines; the title stands on the page with the number."""
 
 
-def leaves(certificate):
+def fields_of(certificate):
     """Each number and text of a certificate with the path of its field."""
-    yield from _leaves(json.loads(certificate.to_json()), "")
-
-
-def _leaves(node, path):
-    if isinstance(node, dict):
-        for name, value in node.items():
-            yield from _leaves(value, f"{path}.{name}".removeprefix("."))
-    elif isinstance(node, list | tuple):
-        for number, value in enumerate(node):
-            yield from _leaves(value, f"{path}[{number}]")
-    else:
-        yield path, node
+    for path, value in leaves(json.loads(certificate.to_json())):
+        yield re.sub(r"\.(\d+)(?=\.|$)", r"[\1]", ".".join(map(str, path))), value
 
 
 def numbers_of(text):
@@ -50,7 +42,7 @@ def missing_numbers(certificate, text):
     printed = numbers_of(text)
     return [
         (path, value)
-        for path, value in leaves(certificate)
+        for path, value in fields_of(certificate)
         if isinstance(value, int | float)
         and not isinstance(value, bool)
         and not _ends_with_its_uncertainty(certificate, path, value)
@@ -83,7 +75,7 @@ def missing_texts(certificate, text):
     squashed = squash(text)
     return [
         (path, value)
-        for path, value in leaves(certificate)
+        for path, value in fields_of(certificate)
         if isinstance(value, str)
         and path not in NOT_PRINTED
         and not re.search(
@@ -105,13 +97,6 @@ def squash(text):
     return "".join(unicodedata.normalize("NFKC", text).replace("\u2212", "-").split()).casefold()
 
 
-def texts_of(node):
+def texts_of(document):
     """Each text of a document as the layout gets it."""
-    if isinstance(node, str):
-        yield node
-    elif isinstance(node, dict):
-        for value in node.values():
-            yield from texts_of(value)
-    elif isinstance(node, list | tuple):
-        for value in node:
-            yield from texts_of(value)
+    return [text for _, text in leaves(document) if isinstance(text, str)]

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from align_browser import running_chromium
 from scipy.spatial import cKDTree
 
 from bench.stations.reticle_files import (
@@ -27,10 +28,6 @@ SETTINGS = {"squares": (26, 24), "pitch_mm": 4.0138889, "tag_square": (11, 10), 
 SETTINGS |= {"drawing": {"size_mm": (136, 128)}}
 POSITIVE = TargetConfig(**SETTINGS)
 NEGATIVE = TargetConfig(**SETTINGS, polarity="negative", tag_family="25h9")
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run")
-FLAGS += ("--disable-background-networking", "--disable-component-update", "--disable-sync")
-FLAGS += ("--hide-scrollbars",)
 
 
 def written(folder: Path, target: TargetConfig, ending: str) -> Path:
@@ -129,18 +126,15 @@ def test_poppler_reads_the_pdf_file(tmp_path, target):
 
 @pytest.mark.parametrize("target", [POSITIVE, NEGATIVE], ids=["positive", "negative"])
 def test_chromium_reads_the_svg_file(tmp_path, target):
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed")
     path = written(tmp_path, target, ".svg")
     width, height = (round(side * PX_PER_MM) for side in target.size_mm)
     page = tmp_path / "page.html"
     style = f"position:absolute;left:0;top:0;width:{width}px;height:{height}px"
     page.write_text(f'<body style="margin:0"><img src="{path.name}" style="{style}">', encoding="utf-8")
-    shot = tmp_path / "shot.png"
-    command = [CHROMIUM, *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={width},{height}"]
-    subprocess.run(
-        [*command, f"--screenshot={shot}", page.as_uri()], capture_output=True, check=True, timeout=120
-    )
-    picture = cv2.imread(str(shot), cv2.IMREAD_GRAYSCALE)
+    with running_chromium() as browser:
+        tab = browser.new_page(viewport={"width": width, "height": height})
+        tab.goto(page.as_uri())
+        tab.screenshot(path=tmp_path / "shot.png")
+    picture = cv2.imread(str(tmp_path / "shot.png"), cv2.IMREAD_GRAYSCALE)
     assert picture.shape == (height, width)
     assert_every_star_is_found(picture, target)

@@ -10,8 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from bench.extras.pages.align.session import Session
 from bench.extras.pages.panel.panel_app import panel_app
 from bench.stations.station import load_station
 from tests.extras.support.pages import served
+from tests.support.waiting import wait_until
 
 PICTURES = Path(__file__).parents[3] / "docs" / "pictures"
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
@@ -53,15 +52,6 @@ def shot(page: Any, **options: Any) -> Image.Image:
     return Image.open(io.BytesIO(page.screenshot(**options))).convert("RGB")
 
 
-def wait(holds: Callable[[], Any], what: str) -> None:
-    """Wait until something holds."""
-    end_s = time.monotonic() + PATIENCE_S
-    while not holds():
-        if time.monotonic() > end_s:
-            raise SystemExit(f"It did not happen in time: {what}.")
-        time.sleep(0.1)
-
-
 def report_pictures(browser: Any, run: Path) -> None:
     """Picture the head of a report, and its maps."""
     page = browser.new_page(viewport={"width": WIDTH_PX, "height": 900})
@@ -86,7 +76,11 @@ def align_picture(browser: Any) -> None:
             page.goto(server.url)
             page.click("#home")
             page.click("#home-now")
-            wait(lambda: session.bench.stage.state.homed and not session.bench.stage.moving, "homing")
+            wait_until(
+                lambda: session.bench.stage.state.homed and not session.bench.stage.moving,
+                PATIENCE_S,
+                "homing",
+            )
             page.click("#light-on")
             for step in ("20", "-5", "-5"):  # out of focus, and some of the way back
                 button = f"[data-action='lens turn'] [data-step='{step}']"
@@ -104,11 +98,15 @@ def panel_picture(browser: Any, runs: Path) -> None:
     words = ["run", "three_pose", "--station", "simulated", "--output", str(run)]
     process = subprocess.Popen([sys.executable, "-m", "bench", *words], stderr=subprocess.DEVNULL)
     try:
-        wait(lambda: (run / "captures").is_dir() and any((run / "captures").iterdir()), "a recording")
+        wait_until(
+            lambda: (run / "captures").is_dir() and any((run / "captures").iterdir()),
+            PATIENCE_S,
+            "a recording",
+        )
         with served(panel_app(runs)) as server:
             page = browser.new_page(viewport={"width": WIDTH_PX, "height": 900})
             page.goto(f"{server.url}run/second")
-            wait(lambda: "accepted" in page.inner_text("#log"), "an accepted pose")
+            wait_until(lambda: "accepted" in page.inner_text("#log"), PATIENCE_S, "an accepted pose")
             page.wait_for_timeout(1000)
             save(shot(page), "panel.png")
     finally:

@@ -1,23 +1,10 @@
 """The report in a browser: few printed pages without gaps, and nothing cut on a phone."""
 
 import re
-import shutil
 from pathlib import Path
 
-import pytest
+from align_browser import running_chromium
 
-pytest.importorskip("playwright")
-from playwright.sync_api import sync_playwright
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer")
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-)
 CUT = """() => [...document.querySelectorAll('main *')].filter(e => {
   const r = e.getBoundingClientRect();
   return r.width > 0 && r.right > innerWidth + 1 && !e.closest('.wide, svg');
@@ -46,8 +33,7 @@ BESIDE_THEIR_MEANING = """() => [...document.querySelectorAll('table.result tr:h
 def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
     page_file, pdf = tmp_path / "report.html", tmp_path / "report.pdf"
     page_file.write_text(html, encoding="utf-8")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+    with running_chromium() as browser:
         page = browser.new_page(viewport={"width": 390, "height": 844})
         page.goto(Path(page_file).as_uri())
         assert page.evaluate("document.documentElement.scrollWidth") == 390
@@ -63,6 +49,5 @@ def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
         page.set_viewport_size({"width": 1200, "height": 900})
         assert page.evaluate(OVERLAPS) == []
         page.pdf(path=str(pdf), prefer_css_page_size=True, print_background=True)
-        browser.close()
     pages = len(re.findall(rb"/Type\s*/Page\b", pdf.read_bytes()))
     assert 1 < pages <= 6
