@@ -17,19 +17,23 @@ from drivers.camera.formats.event_conversion import convert
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingFileError
 
+pytest.importorskip("aedat")
+
 READER = "bench.extras.event_files.aedat4:open_aedat4"
 NONE, LZ4, ZSTD = 0, 1, 3
+RISING, FALLING, OF_A_FRAME = 1, 2, 8
 MAGIC = b"#!AER-DAT4.0\r\n"
 BEGIN_US = 1_700_000_000_000_000
 
 
 def header(compression, *sizes):
-    """A flatbuffer: root, vtable of three fields, table, text; with a stream of events of each of these sizes."""
+    """A flatbuffer: root, vtable of three fields, table, text; a stream of events of each of these sizes, and one of edges."""
     streams = "".join(
         f'<node name="{number}"><attr key="typeIdentifier">EVTS</attr><node name="info">'
         f'<attr key="sizeX">{width}</attr><attr key="sizeY">{height}</attr></node></node>'
         for number, (width, height) in enumerate(sizes or [(640, 480)])
     )
+    streams += '<node name="9"><attr key="typeIdentifier">TRIG</attr></node>'
     text = f'<dv version="2.0"><node name="outInfo">{streams}</node></dv>'
     vtable = struct.pack("<HHHHH", 10, 20, 4, 12, 8) + b"\0\0"
     table = struct.pack("<iiI", 12, compression, 12) + struct.pack("<q", -1)
@@ -44,11 +48,24 @@ def packet(payload, stream=0):
 def events_packet(n):
     """A size prefixed flatbuffer of n events."""
     rows = np.zeros(n, [("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("on", "?"), ("pad", "V3")])
-    rows["t"], rows["x"], rows["on"] = BEGIN_US + np.arange(n), np.arange(n) % 640, True
+    at = np.arange(n)
+    rows["t"], rows["x"], rows["y"], rows["on"] = BEGIN_US + at, at % 640, at % 480, at % 3 == 0
     vtable = struct.pack("<HHH", 6, 8, 4) + b"\0\0"
     vector = struct.pack("<I", n) + rows.tobytes()
     # prefix, root, identifier, vtable, table, padding, vector: its elements lie at a multiple of 8
     body = struct.pack("<I", 16) + b"EVTS" + vtable + struct.pack("<iI", 8, 8) + b"\0" * 4 + vector
+    return struct.pack("<I", len(body)) + body
+
+
+def edges_packet(*edges):
+    """A size prefixed flatbuffer of an odd number of triggers: a table for each, of its time and its source."""
+    shared = 28 + 4 * len(edges)  # the vtable of every trigger, behind the vector of their places
+    places = [shared + 8 + 16 * number for number in range(len(edges))]
+    body = struct.pack("<I4sHHHHiII", 16, b"TRIG", 6, 8, 4, 0, 8, 4, len(edges))
+    body += b"".join(struct.pack("<I", place - 28 - 4 * number) for number, place in enumerate(places))
+    body += struct.pack("<HHHH", 8, 16, 4, 12)
+    for place, (t_us, source) in zip(places, edges, strict=True):
+        body += struct.pack("<iqb3x", place - shared, BEGIN_US + t_us, source)
     return struct.pack("<I", len(body)) + body
 
 
@@ -75,14 +92,24 @@ FRAMES = {"lz4": (LZ4, lz4_frame), "zstd": (ZSTD, zstd_frame), "none": (NONE, by
 
 @pytest.mark.parametrize("kind", FRAMES)
 def test_events_of_every_compression_are_read(written, kind):
-    pytest.importorskip("aedat")
     compression, frame = FRAMES[kind]
     imported = import_events(written(compression, frame(events_packet(3000)), frame(events_packet(2000))))
     assert len(imported.events.t) == 5000
 
 
+def test_places_polarities_and_edges_of_the_signal_are_read_and_other_triggers_left_out(tmp_path):
+    edges = edges_packet((100, RISING), (200, OF_A_FRAME), (300, FALLING))
+    (tmp_path / "a.aedat4").write_bytes(header(NONE) + packet(events_packet(700)) + packet(edges, 9))
+    imported, at = import_events(tmp_path / "a.aedat4"), np.arange(700)
+    assert imported.events.t.tolist() == (1_000_000 + at).tolist()
+    assert imported.events.x.tolist() == (at % 640).tolist()
+    assert imported.events.y.tolist() == (at % 480).tolist()
+    assert imported.events.p.tolist() == (at % 3 == 0).astype(int).tolist()
+    assert imported.triggers.t.tolist() == [1_000_100, 1_000_300]
+    assert imported.triggers.value.tolist() == [1, 0]
+
+
 def test_one_of_two_streams_is_chosen_and_has_its_own_size(tmp_path):
-    pytest.importorskip("aedat")
     path = tmp_path / "a.aedat4"
     packets = (packet(events_packet(n), stream) for stream, n in enumerate((30, 20)))
     path.write_bytes(header(NONE, (640, 480), (346, 260)) + b"".join(packets))
@@ -93,7 +120,6 @@ def test_one_of_two_streams_is_chosen_and_has_its_own_size(tmp_path):
 
 
 def test_the_date_stands_in_a_converted_recording_and_nothing_else(written, tmp_path):
-    pytest.importorskip("aedat")
     convert(written(NONE, events_packet(200)), tmp_path / "a.raw", "raw")
     recording = RawFile.open(tmp_path / "a.raw")
     assert recording.header == {
@@ -109,7 +135,6 @@ def test_the_date_stands_in_a_converted_recording_and_nothing_else(written, tmp_
 
 @pytest.mark.parametrize("length", [15, 100, 400, 1500, 4000])
 def test_a_file_that_was_cut_off_ends_in_one_message_or_whole_events(written, length):
-    pytest.importorskip("aedat")
     path = written(NONE, events_packet(100), events_packet(200))
     path.write_bytes(path.read_bytes()[:length])
     with suppress(RecordingFileError):
@@ -138,7 +163,6 @@ def most_kb_of_reader(path):
 
 
 def test_a_bomb_ends_in_one_message_and_takes_no_memory_here(written):
-    pytest.importorskip("aedat")
     path = written(ZSTD, zeros_frame(3 << 30))
     assert path.stat().st_size < 20_000_000
     before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -160,7 +184,6 @@ def test_a_bomb_ends_in_one_message_and_takes_no_memory_here(written):
     ],
 )
 def test_what_a_file_states_wrongly_is_refused(tmp_path, data):
-    pytest.importorskip("aedat")
     path = tmp_path / "a.aedat4"
     path.write_bytes(data)
     with pytest.raises(RecordingFileError) as caught:

@@ -1,4 +1,4 @@
-"""Recordings of other programs: AEDAT4, ROS bags; each written by a program nobody here wrote."""
+"""Recordings of other programs: ROS bags; each written by a program nobody here wrote."""
 
 import sqlite3
 from contextlib import closing, suppress
@@ -14,34 +14,6 @@ from drivers.camera.raw_file import RawFile
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 ORIGIN_US = 1_700_000_000_000_000
-
-
-# ------------------------------------------------------------ AEDAT4
-
-
-def test_aedat4_written_by_dv_processing(tmp_path):
-    pytest.importorskip("aedat")
-    dv = pytest.importorskip("dv_processing")
-    config = dv.io.MonoCameraWriter.Config("DVX_1")
-    config.addEventStream((640, 480))
-    config.addTriggerStream()
-    path, rows = tmp_path / "a.aedat4", some_events(2000)
-    writer = dv.io.MonoCameraWriter(str(path), config)
-    store = dv.EventStore()
-    for row in rows:
-        store.push_back(int(row["t"]) + ORIGIN_US, int(row["x"]), int(row["y"]), bool(row["on"]))
-    writer.writeEvents(store)
-    for t, edge in ((100, "RISING"), (300, "FALLING")):
-        writer.writeTrigger(
-            dv.Trigger(t + ORIGIN_US, getattr(dv.TriggerType, f"EXTERNAL_SIGNAL_{edge}_EDGE"))
-        )
-    del writer
-    imported = import_events(path)
-    assert (imported.width, imported.height) == (640, 480)
-    origin_us = int(imported.header["time_origin_us"])
-    assert_same(imported, rows, origin_us - ORIGIN_US)
-    assert (imported.triggers.t + origin_us - ORIGIN_US).tolist() == [100, 300]
-    assert imported.triggers.value.tolist() == [1, 0]
 
 
 # ------------------------------------------------------------ ROS
