@@ -5,14 +5,12 @@ import pytest
 from drivers.errors import DriverError, SettingRefused
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
-from drivers.light.scpi import ScpiLight
 from simulators.assembly import make_light
 from simulators.config import LightConfig
 from simulators.errors import ConfigError
-from simulators.lights.generators import GeneratorModel, ScpiGenerator
-from simulators.lights.siglent import SiglentGenerator
 from tests.hil.direct_lights import OPENED
 from tests.hil.direct_stages import VirtualClock, direct_line
+from tests.unit.drivers.light.generator_bench import Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -85,62 +83,47 @@ def test_what_a_light_cannot_have_left_behind_is_refused_with_what_it_can() -> N
 def test_every_modulation_that_a_generator_has_is_ended_and_read_back(
     modulations, numbered, error_queue
 ) -> None:
-    clock = VirtualClock()
-    model = GeneratorModel(numbered_channels=numbered, modulations=modulations, error_queue=error_queue)
-    device = ScpiGenerator(model, clock.monotonic)
+    dialect = "numbered" if numbered else "keysight"
+    bench = Bench(dialect, modulations=modulations, error_queue=error_queue)
     for name in modulations:
-        device.leave(name)
-    line = direct_line(device, clock)
-    light = ScpiLight(line, clock=clock, dialect="numbered" if numbered else "keysight")
-    light.apply(FLICKER)
-    assert device.modulations == set()
+        bench.device.leave(name)
+    bench.open().apply(FLICKER)
+    assert bench.device.modulations == set()
     prefix = "SOUR1:" if numbered else ""
     short = "".join(letter for letter in modulations[0] if letter.isupper())
-    assert f"{prefix}{short}:STAT?\n".encode() in line.sent
-
-
-def _stubborn(device: ScpiGenerator, ignored: bytes) -> None:
-    """Let a generator accept a command and ignore it."""
-    receive = device.receive
-    device.receive = lambda data: b"" if data.startswith(ignored) else receive(data)  # type: ignore[method-assign]
+    assert f"{prefix}{short}:STAT?" in bench.sent()
 
 
 @pytest.mark.parametrize(
     ("left", "ignored", "fault"),
     [
-        ("PWM", b"SOUR1:PWM:STAT OFF", r"modulation PWM stays .* 'SOUR1:PWM:STAT\?' is answered by 'ON'"),
-        ("SYNC2", b"OUTP:SYNC:SOUR CH1", r"sync output's channel stays .* is answered by 'CH2'"),
+        ("PWM", "SOUR1:PWM:STAT OFF", r"modulation PWM stays .* 'SOUR1:PWM:STAT\?' is answered by 'ON'"),
+        ("SYNC2", "OUTP:SYNC:SOUR CH1", r"sync output's channel stays .* is answered by 'CH2'"),
     ],
 )
 def test_what_stays_on_although_the_command_was_accepted_is_refused_by_its_name(left, ignored, fault) -> None:
-    clock = VirtualClock()
-    device = ScpiGenerator(GeneratorModel(numbered_channels=True, modulations=("PWM",)), clock.monotonic)
-    device.leave(left)
-    _stubborn(device, ignored)
-    light = ScpiLight(direct_line(device, clock), clock=clock, dialect="numbered")
+    bench = Bench("numbered", modulations=("PWM",))
+    bench.device.leave(left)
+    bench.turn(ignored, "")
     with pytest.raises(SettingRefused, match=fault):
-        light.apply(FLICKER)
+        bench.open().apply(FLICKER)
 
 
 def test_a_siglent_that_loses_the_command_after_that_of_the_waveform_is_set_all_the_same() -> None:
     """A BK 4055B hangs at a command of 52 bytes by USB, too (the package BK4055B's tests)."""
-    clock, states = VirtualClock(), []
-    device = SiglentGenerator("SG1", clock.monotonic, states.append, loses_next=True)
-    line = direct_line(device, clock)
-    light = ScpiLight(line, clock=clock, dialect="siglent")
+    bench = Bench("siglent", loses_next=True)
+    light = bench.open()
     assert light.apply(FLICKER) == FLICKER
-    device.change(sync=False, shape="sine")
+    bench.device.change(sync=False, shape="sine")
     assert light.apply(FLICKER) == FLICKER
-    assert max(map(len, line.sent)) < 30
+    assert max(map(len, bench.line.sent)) < 30
 
 
 @pytest.mark.parametrize(("low_v", "high_v"), [(6.0, 8.0), (-8.0, -6.0), (-5.0, 0.5)])
 def test_the_levels_of_a_siglent_never_cross_those_that_were_left(low_v, high_v) -> None:
-    clock = VirtualClock()
-    device = SiglentGenerator("SG1", clock.monotonic)
-    device.change(load_ohm=float("inf"), shape="square", low_v=low_v, high_v=high_v)
-    light = ScpiLight(direct_line(device, clock), clock=clock, dialect="siglent")
-    got = light.apply(FLICKER)
+    bench = Bench("siglent")
+    bench.device.change(load_ohm=float("inf"), shape="square", low_v=low_v, high_v=high_v)
+    got = bench.open().apply(FLICKER)
     assert (got.low_v, got.high_v) == (0.0, 3.0)
 
 
@@ -185,18 +168,16 @@ def test_an_event_within_a_reply_is_kept_and_the_reply_is_read(event, where) -> 
     ],
 )
 def test_a_controller_that_echoes_is_served_whatever_the_form_of_its_echo(echo) -> None:
-    clock, states = VirtualClock(), []
-    device = make_light(LightConfig("gardasoft"), clock.monotonic, states.append)
-    line = direct_line(device, clock)
-    line.spoil = lambda reply: echo(line.sent[-1], reply)
-    light = GardasoftLight(line, clock=clock)
+    rig = Rig("gardasoft", "")
+    rig.line.spoil = lambda reply: echo(rig.line.sent[-1], reply)
+    light = GardasoftLight(rig.line, clock=rig.clock)
     assert light.identify().model == "RT460-20"
     light.apply(FLICKER)
     light.on()
-    assert states[-1].output
+    assert rig.states[-1].output
     assert light.faults() == []
     light.off()
-    assert not states[-1].output
+    assert not rig.states[-1].output
 
 
 def test_a_lamp_that_an_input_may_switch_on_is_not_said_to_be_off() -> None:

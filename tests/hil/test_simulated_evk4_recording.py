@@ -19,11 +19,12 @@ from simulators.world.world import LightState, World
 
 NOW = datetime(2026, 11, 20, tzinfo=UTC)
 SETTINGS = CameraSettings({"bias_diff_on": 5})
+FLICKER = LightState(output=True, sync=True)
 
 
 @contextmanager
-def bench(light, clock=None):
-    """A driver connected to a simulated camera under that light, and the camera's address."""
+def bench(light=FLICKER, settings=SETTINGS, clock=None):
+    """A driver connected to a simulated camera under that light, with these settings."""
     world = World(truth_from_config({}), seed=1)
     world.set_light(light)
     simulated = SimulatedEvk4(world, paced=False)
@@ -34,28 +35,18 @@ def bench(light, clock=None):
         )
         camera.simulated = simulated
         try:
-            yield camera, simulated.address
+            camera.apply(settings)
+            yield camera
         finally:
             camera.close()
     finally:
         simulated.close()
 
 
-def record_flicker(path):
-    with bench(LightState(output=True, sync=True)) as (camera, _):
-        camera.apply(SETTINGS)
-        return camera.record(path, 0.035)
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """A recording of a 60 Hz flicker: its file and the driver's facts."""
-    path = tmp_path_factory.mktemp("recorded") / "pose.raw"
-    return path, record_flicker(path)
-
-
-def test_the_lights_edges_arrive_as_triggers_a_half_period_apart(recorded):
-    triggers = RawFile.open(recorded[0]).triggers()
+def test_the_lights_edges_arrive_as_triggers_a_half_period_apart(tmp_path):
+    with bench() as camera:
+        camera.record(tmp_path / "pose.raw", 0.035)
+    triggers = RawFile.open(tmp_path / "pose.raw").triggers()
     assert len(triggers.t) >= 4
     assert np.diff(triggers.t) == pytest.approx(1e6 / 120, abs=2)
     assert set(np.diff(triggers.value.astype(int))) == {-1, 1}
@@ -70,8 +61,7 @@ class LateClock(SystemClock):
 
 def test_equal_runs_give_the_same_files_however_late_they_are_stopped(tmp_path):
     def files(name, clock):
-        with bench(LightState(output=True, sync=True), clock) as (camera, _):
-            camera.apply(SETTINGS)
+        with bench(clock=clock) as camera:
             paths = [tmp_path / f"{name}-{k}.raw" for k in range(3)]
             for path, duration_s in zip(paths, (0.03, 0.01, 0.01), strict=True):
                 camera.record(path, duration_s)
@@ -87,8 +77,7 @@ def test_equal_runs_give_the_same_files_however_late_they_are_stopped(tmp_path):
 def test_a_recording_over_the_wrap_of_the_clock_is_read_as_any_other(tmp_path):
     def recorded_at(clock_us):
         path = tmp_path / f"{clock_us}.raw"
-        with bench(LightState(output=True, sync=True)) as (camera, _):
-            camera.apply(SETTINGS)
+        with bench() as camera:
             camera.simulated.time_base.now_us = clock_us
             facts = camera.record(path, 0.04)
         return facts, *RawFile.open(path).read(), measured(path)
@@ -114,14 +103,12 @@ def measured(path):
 
 
 def test_without_trigger_input_there_are_no_triggers(tmp_path):
-    with bench(LightState(output=False, sync=True)) as (camera, _):
-        camera.apply(CameraSettings(trigger_in=False))
+    with bench(LightState(output=False, sync=True), CameraSettings(trigger_in=False)) as camera:
         assert camera.record(tmp_path / "pose.raw", 0.01).triggers == 0
 
 
 def test_an_overflow_shows_in_the_counters_until_it_is_cleared(tmp_path):
-    with bench(LightState(output=True, sync=True)) as (camera, _):
-        camera.apply(SETTINGS)
+    with bench() as camera:
         camera.simulated.stream_faults.overflows = True
         spoilt = camera.record(tmp_path / "spoilt.raw", 0.020)
         camera.simulated.stream_faults.clear()

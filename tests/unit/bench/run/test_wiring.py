@@ -31,9 +31,7 @@ def events_of(n=N):
     return Events(t[order], zeros, zeros, p[order])
 
 
-NO_EVENTS = Events(
-    np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.uint16), np.zeros(0, np.uint8)
-)
+NO_EVENTS = events_of(n=0)
 NO_EDGES = edges_of(n=0)
 
 

@@ -20,7 +20,7 @@ class Bench:
         self.states: list[LightState] = []
         given = self.clock.monotonic, self.states.append
         if dialect == "siglent":
-            self.device = SiglentGenerator("SG0042", *given)
+            self.device = SiglentGenerator("SG0042", *given, **model)
         else:
             model = GeneratorModel(numbered_channels=dialect == "numbered", **model)
             self.device = ScpiGenerator(model, *given)
