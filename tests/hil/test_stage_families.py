@@ -98,6 +98,25 @@ def test_a_stop_does_not_wait_for_the_line_to_come_into_step(rig) -> None:
     assert STOPS[rig.family] in rig.line.sent[0]
 
 
+@pytest.mark.parametrize("order", ["move_to", "home"])
+def test_an_order_to_move_is_not_given_again_when_the_next_reply_is_lost(rig, monkeypatch, order) -> None:
+    rig.see_it_home_and_move(rig.stage)
+    given, real = [], getattr(rig.controller.axis, order)
+
+    def lose_one(_reply: bytes) -> bytes:
+        rig.line.spoil = lambda reply: reply
+        return b""
+
+    def noted(*words, **more) -> None:
+        given.append(words)
+        rig.line.spoil = lose_one
+        real(*words, **more)
+
+    monkeypatch.setattr(rig.controller.axis, order, noted)
+    rig.line.error_of(lambda: rig.stage.home() if order == "home" else rig.stage.move_to({"pan": -5.0}), 60.0)
+    assert len(given) == 1
+
+
 @pytest.mark.parametrize("waits", [1, 2])
 def test_homing_that_is_interrupted_and_stopped_leaves_no_reference(rig, waits) -> None:
     clock, sleep, waited = rig.line.clock, rig.line.clock.sleep, iter(range(1, 1000))

@@ -220,16 +220,6 @@ def test_a_flag_hidden_behind_a_more_urgent_one_is_found_at_the_end(bench) -> No
 
 
 # ---------------------------------------------------------------- the line, and stops
-@pytest.mark.parametrize("order", ["move", "home"])
-def test_an_order_to_move_is_not_given_again_when_its_reply_is_lost(bench, order) -> None:
-    stage = bench.homed()
-    bench.line.spoil = lambda reply: b"" if f" {order}".encode() in bench.line.sent[-1] else reply
-    with pytest.raises(ReplyError):
-        stage.home() if order == "home" else stage.move_to({"pan": 9.0})
-    assert len(bench.motions()) == 1
-    assert not stage.is_homed()
-
-
 def test_a_stop_reaches_all_axes_with_one_line(bench) -> None:
     stage = bench.homed()
     bench.go("pan")
