@@ -8,17 +8,16 @@ import pytest
 
 from drivers.errors import DriverError, LightError, PortLost, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightSettings
-from simulators.faults.catalogue import LIGHT_FAULTS, LINE_FAULTS
-from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
+from simulators.faults.catalogue import LIGHT_FAULTS
 from simulators.lights.lamp import LAMP_FAULTS
 from tests.hil.direct_lights import OPENED, DirectLight, direct_light
 from tests.hil.direct_stages import VirtualClock
+from tests.hil.test_every_fault import MESSAGES
 from tests.hil.test_fault_line_fuzz import like
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
 LONGEST_S = 30.0
-MESSAGES = {*REPLY_FAULTS, *REQUEST_FAULTS, "stale", "any"}
 BRIGHT = LightSettings(frequency_hz=50.0, high_v=5.0)
 
 
@@ -37,7 +36,6 @@ def tried(rig: DirectLight, act) -> DriverError | None:
 
 def test_every_fault_of_the_catalogue_is_spoken_of_here() -> None:
     assert set(LIGHT_FAULTS) == {*LAMP_FAULTS, "clip", "trip", "exchange"}
-    assert set(LINE_FAULTS) == {*MESSAGES, "baud", "say", "unplug", "replug", "mend"}
 
 
 def test_a_clipped_level_is_refused(rig) -> None:

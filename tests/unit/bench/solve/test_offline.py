@@ -102,10 +102,17 @@ def test_a_recording_that_ends_within_a_word_is_named_once_and_belongs_to_no_run
     assert f": {path}." in sentence
 
 
+HEAD = b"% format EVT3;height=720;width=1280\n% end\n"
+
+
+def write_long(path):
+    """A recording of 200 000 words, an event each."""
+    path.write_bytes(HEAD + np.full(200_000, 0x2000, "<u2").tobytes())
+    return path
+
+
 def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path, monkeypatch):
-    path = tmp_path / "a.raw"
-    head = b"% format EVT3;height=720;width=1280\n% end\n"
-    path.write_bytes(head + np.full(200_000, 0x2000, "<u2").tobytes())  # an event each
+    path = write_long(tmp_path / "a.raw")
     with used_part(path) as whole:
         assert whole == path
     assert used_recordings([path]) == []
@@ -113,7 +120,7 @@ def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path
     with used_part(path) as begin:
         size = begin.stat().st_size
         assert begin.read_bytes() == path.read_bytes()[:size]
-    assert 0 < (size - len(head)) // 2 <= 100_000
+    assert 0 < (size - len(HEAD)) // 2 <= 100_000
     (sentence,) = used_recordings([path])
     assert sentence.endswith(f"{path} ({size / path.stat().st_size:.0%}).")
     assert used_recordings([path], in_pieces={path}) == []
@@ -344,10 +351,7 @@ def test_a_board_gives_tangential_terms_unless_other_coefficients_are_asked_for(
 
 
 def test_the_preview_of_a_long_recording_uses_its_first_events_too(tmp_path, monkeypatch):
-    path, read = tmp_path / "a.raw", []
-    path.write_bytes(
-        b"% format EVT3;height=720;width=1280\n% end\n" + np.full(200_000, 0x2000, "<u2").tobytes()
-    )
+    path, read = write_long(tmp_path / "a.raw"), []
     monkeypatch.setattr(loose_recordings, "MOST_EVENTS", 100_000)
     monkeypatch.setattr(
         "bench.measure.measure.recorded_image", lambda begin: read.append(begin.stat().st_size)
