@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import time
+from collections.abc import Iterator
 
 import pytest
 import pyvisa
@@ -73,32 +74,41 @@ class Instrument:
             raise OSError(19, "No such device")
 
 
-def connect(monkeypatch, kind: str = "rigol") -> Instrument:
+def opened(kind: str = "rigol") -> ScpiLight:
+    return ScpiLight.open(ADDRESS, dialect=DIALECTS[kind], serial="SG0042", clock=SystemClock())
+
+
+@pytest.fixture
+def kind() -> str:
+    return "rigol"
+
+
+@pytest.fixture
+def instrument(monkeypatch, kind) -> Instrument:
     instrument = Instrument(kind)
     monkeypatch.setattr(pyvisa, "ResourceManager", lambda *_: instrument)
     return instrument
 
 
-def opened(kind: str = "rigol", **more) -> ScpiLight:
-    return ScpiLight.open(ADDRESS, dialect=DIALECTS[kind], clock=SystemClock(), **more)
+@pytest.fixture
+def light(instrument, kind) -> Iterator[ScpiLight]:
+    light = opened(kind)
+    yield light
+    light.close()
 
 
 @pytest.mark.parametrize("kind", DIALECTS)
-def test_a_generator_is_set_read_back_and_switched(monkeypatch, kind) -> None:
-    instrument = connect(monkeypatch, kind)
-    light = opened(kind, serial="SG0042")
+def test_a_generator_is_set_read_back_and_switched(instrument, light) -> None:
     assert light.apply(FLICKER) == FLICKER
     light.on()
     assert instrument.states[-1].output
     assert light.faults() == []
     light.off()
     assert not instrument.states[-1].output
-    light.close()
     assert instrument.reads_without_query == 0
 
 
-def test_a_station_file_names_a_generator_by_its_address(monkeypatch) -> None:
-    instrument = connect(monkeypatch)
+def test_a_station_file_names_a_generator_by_its_address(instrument) -> None:
     station = station_of(PLAIN.replace("port: sim:light", f'dialect: numbered\n  port: "{ADDRESS}"'))
     light = station.light.open_device(str, clock=SystemClock(), wire_log=None)
     light.apply(FLICKER)
@@ -113,17 +123,15 @@ def test_without_the_extra_one_sentence_says_how_to_install_it(monkeypatch) -> N
         opened()
 
 
-def test_an_instrument_that_is_not_there_is_told_without_the_words_of_a_library(monkeypatch) -> None:
-    connect(monkeypatch).never_back = True
+def test_an_instrument_that_is_not_there_is_told_without_the_words_of_a_library(instrument) -> None:
+    instrument.never_back = True
     with pytest.raises(PortNotFound, match="find the instrument") as error:
         opened()
     assert "No device found" not in str(error.value)
     assert error.value.where == ADDRESS
 
 
-def test_a_lost_connection_is_opened_again_and_the_light_is_switched_off(monkeypatch) -> None:
-    instrument = connect(monkeypatch)
-    light = opened()
+def test_a_lost_connection_is_opened_again_and_the_light_is_switched_off(instrument, light) -> None:
     light.apply(FLICKER)
     light.on()
     instrument.gone = True
@@ -136,21 +144,15 @@ def test_a_lost_connection_is_opened_again_and_the_light_is_switched_off(monkeyp
     light.off()
     assert not instrument.states[-1].output
     assert instrument.opened == 3
-    light.close()
 
 
-def test_an_answer_that_came_too_late_is_cleared_and_asked_for_again(monkeypatch) -> None:
-    instrument = connect(monkeypatch)
-    light = opened()
+def test_an_answer_that_came_too_late_is_cleared_and_asked_for_again(instrument, light) -> None:
     light.apply(FLICKER)
     instrument.slow = 1
     assert light.read() == FLICKER
-    light.close()
 
 
-def test_one_instrument_has_one_user(monkeypatch) -> None:
-    connect(monkeypatch)
-    light = opened()
+def test_one_instrument_has_one_user(light) -> None:
     with pytest.raises(PortBusy):
         opened()
     light.close()
