@@ -1,4 +1,4 @@
-"""EVT2 and DAT files, made word by word."""
+"""EVT2 and DAT files; test_events_of_other_programs.py reads those of programs that nobody here wrote."""
 
 import tracemalloc
 
