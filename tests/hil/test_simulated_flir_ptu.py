@@ -1,7 +1,13 @@
-"""The simulated pan-tilt unit: its answers are those of the manual."""
+"""The simulated pan-tilt unit: its own answers, and a client that nobody here wrote (FLIR-PTU-Python, if installed)."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
 from tests.hil.direct_stages import VirtualClock, of_one_port
 
 
@@ -34,3 +40,32 @@ def test_a_reset_is_answered_at_its_end_and_other_commands_wait() -> None:
     assert unit.unsolicited() == b""
     clock.sleep(60.0)
     assert unit.unsolicited() == b"!T!T!P!P*\r\nPP * Current Pan position is 0\r\n"
+
+
+@pytest.fixture
+def port(tmp_path: Path) -> Iterator[str]:
+    unit, _ = of_one_port("flir_ptu", time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "ptu"), unit) as device:
+        yield device.address
+
+
+def test_another_client_moves_and_reads_the_unit(port) -> None:
+    flirptu = pytest.importorskip("flirptu.ptu", reason="pip install flirptu")
+    client = flirptu.PTU(port, timeout=10)
+    assert client.echo
+    assert (client.panResolution, client.minPan, client.maxTilt) == (4.5, -12000, 8000)
+    assert client.maxPanSpeed == 80_000
+    assert client.send("RP ", strip_echo=False) == "RP !P!P*"
+    assert client.setPanPosition(4000)
+    while client.send("PD ") != "* Current Pan speed is 0 positions/sec":
+        time.sleep(0.02)
+    assert client.getPanPosition() == 4000
+    with pytest.warns(RuntimeWarning, match="Maximum allowable"):
+        assert not client.setPanPosition(13_000)
+    if hasattr(client, "setUserPanLimits"):  # the package index has a version without it
+        assert client.setUserPanLimits(-800, 800)
+        client.enableUserLimits()
+        with pytest.warns(RuntimeWarning, match="position is 800"):
+            assert not client.setPanPosition(900)
+    assert client.halt()
+    del client  # it speaks to the unit once more when it is deleted

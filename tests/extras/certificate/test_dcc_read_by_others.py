@@ -8,10 +8,13 @@ import os
 import shutil
 import socket
 import subprocess
+import warnings
 from pathlib import Path
 
 import certificate_sample
 import pytest
+
+from bench.extras.certificate.d_si import OUR_UNITS
 
 SCHEMAS = Path(named) if (named := os.environ.get("STARBENCH_DCC_SCHEMAS")) else None
 needs_schemas = pytest.mark.skipif(SCHEMAS is None, reason="STARBENCH_DCC_SCHEMAS names no folder")
@@ -115,3 +118,13 @@ def remarks(schematron, data):
 def test_the_rules_of_dcclib_find_the_version_only(name, schematron):
     (remark,) = remarks(schematron, DCCS[name]())
     assert remark.startswith("Schema version outdated: ")
+
+
+def test_units_are_known_to_dsiunits():
+    dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits, the second opinion, is not installed")
+    for unit in sorted(set(OUR_UNITS.values())):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            known = dsi_unit.DsiUnit(unit)
+        assert known.valid, unit
+        assert not known.non_dsi_unit, unit

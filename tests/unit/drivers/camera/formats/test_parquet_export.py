@@ -1,4 +1,4 @@
-"""Events in a Parquet file: what pyarrow reads is what was recorded."""
+"""Events in a Parquet file: what pandas and pyarrow read is what was recorded."""
 
 import json
 import sys
@@ -30,6 +30,13 @@ def test_columns_and_metadata_hold_what_was_recorded(raw, tmp_path, monkeypatch)
     assert json.loads(stated[b"header"])["serial_number"] == "00051234"
     edges = json.loads(stated[b"triggers"])
     assert same([np.array(edges[name]) for name in Triggers._fields], triggers)
+
+
+def test_pandas_reads_the_file(raw, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    convert(raw, tmp_path / "pose.parquet", "parquet")
+    frame = pandas.read_parquet(tmp_path / "pose.parquet")
+    assert same([frame[name].to_numpy() for name in "txyp"], drawn_stream()[0])
 
 
 def test_more_edges_than_metadata_should_hold_are_refused(raw, tmp_path, monkeypatch):
