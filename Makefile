@@ -42,7 +42,7 @@ $(VENV)/installed-dev: $(VENV)/made pyproject.toml requirements-dev.lock $(FRONT
 	@$(PIP_COMPILED) --require-hashes -r requirements-dev.lock || $(OTHER_VERSIONS)
 	@$(PIP_COMPILED) --editable '.[dev]'
 	@# The second opinions are not built for every platform: tests say so where one is missing.
-	@for p in 'evt3>=0.4' 'zaber-motion>=7' 'jsonschema>=4' 'libximc!=3.1.2' 'pymeasure>=0.14' 'dcclib>=0.4' 'xmlschema>=4' 'caproto>=1.1'; do $(PIP_COMPILED) "$$p" \
+	@for p in 'evt3>=0.4' 'zaber-motion>=7' 'jsonschema>=4' 'libximc!=3.1.2' 'pymeasure>=0.14' 'dcclib>=0.4' 'xmlschema>=4' 'caproto>=1.1' flirptu 'dsiunits>=3'; do $(PIP_COMPILED) "$$p" \
 		|| echo "note: $$p is not to be had here; the tests that ask it are skipped"; done
 	@$(BIN)/python -m bench.warm_up
 	@touch $@ $(VENV)/installed
