@@ -2,13 +2,15 @@
 
 The first SIGINT, SIGTERM or SIGHUP, or another thread, calls `BenchClock.request_stop`; the next ``sleep`` or ``check``
 raises `Aborted`, or `Interrupted` after an interlock's ``interrupt``, until ``clear_interruption``. While devices are
-made safe, the clock is ``shielded`` from both; the third signal, if SIGINT (Ctrl-C), ends the process at once.
+made safe, the clock is ``shielded`` from both; the third signal, if SIGINT (Ctrl-C), ends the process at once; what
+follows another SIGINT within a second is the same press.
 ``inactive_s`` grows where a driver hangs: the work neither waits, nor checks, nor reads the time. The time of a
 `VirtualClock` passes only where the work waits.
 """
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
@@ -25,6 +27,7 @@ from drivers.lateness import LatenessData, own_lateness
 Result = TypeVar("Result")
 _STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
 _SIGNALS_TO_END_AT_ONCE = 3  # A second Ctrl-C is often pressed by impatience, a third on purpose
+_ONE_PRESS_S = 1.0  # A key that is held repeats after .2 to 1 s, then many times a second
 _RESEND_AFTER_S = 0.05  # A signal that came between a check and a wait is lost otherwise
 
 
@@ -221,14 +224,21 @@ class VirtualClock(BenchClock):
 
 
 @contextmanager
-def stop_on_signals(request_stop: Callable[[str], None], *, received: int = 0) -> Iterator[None]:
+def stop_on_signals(
+    request_stop: Callable[[str], None], *, received: int = 0, monotonic: Callable[[], float] = time.monotonic
+) -> Iterator[None]:
     """Turn SIGINT, SIGTERM and SIGHUP into a request to stop, with its reason. Only for the main thread.
 
     The third SIGINT ends the process at once; ``received`` is how many signals came before.
     """
+    pressed_s = -math.inf
 
     def ask(number: int, _frame: FrameType | None) -> None:
-        nonlocal received
+        nonlocal received, pressed_s
+        if number == signal.SIGINT:
+            before_s, pressed_s = pressed_s, monotonic()
+            if pressed_s - before_s < _ONE_PRESS_S:
+                return
         received += 1
         if received >= _SIGNALS_TO_END_AT_ONCE and number == signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)

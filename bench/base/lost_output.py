@@ -1,18 +1,24 @@
 """Output whose reader has gone (``starbench run ... | head -1``): what is written is dropped, the work goes on.
 
-The exit status then is that of the work. Without this the first line that nobody reads would end the program.
+The exit status then is that of the work. Without this the first line that nobody reads would end the program. Standard
+error tells how the work goes on: it never fails, and what nobody takes (Ctrl-S, a pager, a stalled connection) is
+dropped, so that no signal and no interlock waits for a reader.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import select
+import stat
 import sys
+from contextlib import suppress
 from typing import Any, TextIO, cast
 
 from bench.base.encoding import printable
 
 _STANDARD = {"stdout": 1, "stderr": 2}
+_PATIENCE_S = 0.2  # A reader that takes nothing for so long has stopped; short beside the grace of a door
 
 
 class _Output(io.FileIO):
@@ -20,23 +26,55 @@ class _Output(io.FileIO):
 
     lost = False
 
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor, "wb", closefd=False)
+        self._is_error = descriptor == _STANDARD["stderr"]
+        self._descriptor = _without_waiting(descriptor) if self._is_error else descriptor
+        self._is_stuck = False
+
     def write(self, data: Any) -> int:
-        """Write bytes, or drop them once nobody reads them. Another failure, such as a full disk, is raised once."""
+        """Write bytes, or drop them once nobody reads them. A full disk behind standard output is raised once."""
+        rest = memoryview(data).cast("B")
+        size = len(rest)
         try:
-            return super().write(data)
-        except BrokenPipeError:
-            self.lost = True
-            self._drop_the_rest()
-            return memoryview(data).nbytes
+            while rest:
+                rest = rest[self._write_some(rest) :]
         except OSError as error:
             self._drop_the_rest()
-            where = "standard output" if self.fileno() == _STANDARD["stdout"] else "standard error"
-            raise OSError(error.errno, error.strerror, where) from None
+            self.lost = self._is_error or isinstance(error, BrokenPipeError)
+            if not self.lost:
+                raise OSError(error.errno, error.strerror, "standard output") from None
+        return size
+
+    def _write_some(self, data: memoryview) -> int:
+        """Return how many bytes were written, or dropped because the reader has stopped."""
+        if self._descriptor != self.fileno() and not self._is_stuck:
+            select.select([], [self._descriptor], [], _PATIENCE_S)
+        try:
+            written = os.write(self._descriptor, data)
+        except BlockingIOError:
+            self._is_stuck = True
+            return len(data)
+        self._is_stuck = False
+        return written
 
     def _drop_the_rest(self) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())  # programs that this one starts inherit it
+        if self._descriptor != self.fileno():
+            os.dup2(nowhere, self._descriptor)
         os.close(nowhere)
+
+
+def _without_waiting(descriptor: int) -> int:
+    """Return a descriptor of the same terminal or pipe at which no write waits; where there is none, the same one.
+
+    It is opened anew: not to wait is a property that all programs of a terminal would share.
+    """
+    if sys.platform == "linux" and (stat.S_ISFIFO(os.fstat(descriptor).st_mode) or os.isatty(descriptor)):
+        with suppress(OSError):  # another user's terminal, as under `su`
+            return os.open(f"/proc/self/fd/{descriptor}", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    return descriptor
 
 
 class _PlainText(io.TextIOWrapper):
@@ -111,7 +149,7 @@ def _is_descriptor(stream: io.TextIOWrapper, descriptor: int) -> bool:
 def _reopened(stream: io.TextIOWrapper, descriptor: int) -> _PlainText:
     stream.flush()
     return _PlainText(
-        io.BufferedWriter(_Output(descriptor, "wb", closefd=False)),
+        io.BufferedWriter(_Output(descriptor)),
         encoding=stream.encoding,
         errors=stream.errors,
         line_buffering=stream.line_buffering,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import select
 import sys
@@ -58,25 +59,18 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError):  # the terminal is closed
-            self._live.stop()
+        self._live.stop()
 
     def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
         """Show the present state, pose (from 1; None: unchanged), and in brackets further words."""
         self._state, self._detail = state, detail
         self._pose = pose or self._pose
         if not self._can_overwrite:
-            self._print(Text(self._plain()))
+            self.say(self._plain())
 
     def say(self, message: str) -> None:
         """Print a line that remains on the terminal."""
-        self._print(Text(message))
-
-    def _print(self, text: Text) -> None:
-        try:
-            self._console.print(text, soft_wrap=True)
-        except OSError:  # the terminal is closed; that does not affect the run
-            self._console = Console(quiet=True)
+        self._console.print(Text(message), soft_wrap=True)
 
     def _where(self) -> str:
         if not self._pose:
@@ -133,19 +127,22 @@ def ask(
     """
     tell = f"`{pasteable('tell', folder, 'yes')}` (or no)"
     source = sys.stdin if terminal is None else terminal
-    here = source is not None and source.isatty()  # None: the process has no standard input
-    typed = _typed(source) if here else None
-    how = "[c]ontinue / [a]bort" if here else tell
+    here = source if source is not None and source.isatty() else None  # No standard input is None, too
+    typed = None
+    how = "[c]ontinue / [a]bort" if here and _in_foreground(here) else tell
     say(f"{text}  {how}, {default} after {timeout_s:g} s:")
     deadline = clock.monotonic() + timeout_s
     while clock.monotonic() < deadline:
         if (reply := elsewhere()) is not None:
             say(f"{reply.by}: {reply.word}")
             return reply
-        line = typed() if typed is not None else None
+        line = None
+        if here and _in_foreground(here):
+            typed = typed or _typed(here)
+            line = typed()
         if line == "":  # the end of the input, which is not an answer
             say(f"This terminal is closed. Answer with {tell} from another one.")
-            typed = None
+            here = None
         elif line is not None:
             word = line.strip().lower()
             if word in _YES | _NO | {""}:
@@ -153,6 +150,18 @@ def ask(
             say("Please answer c (continue) or a (abort).")
         clock.sleep(_POLL_S)
     return Reply(default, "time-out")
+
+
+def _in_foreground(source: TextIO) -> bool:
+    """Whether this process may read the terminal: the system suspends one in the background that tries (SIGTTIN)."""
+    try:
+        return os.tcgetpgrp(source.fileno()) == os.getpgrp()
+    except (
+        AttributeError,
+        OSError,
+        ValueError,
+    ):  # a system without jobs, or not the terminal of this session
+        return True
 
 
 def _typed(source: TextIO) -> Callable[[], str | None]:

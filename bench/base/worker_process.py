@@ -49,6 +49,8 @@ class WorkerProcess:
                 raise EOFError
             asked = pickle.dumps(question, pickle.HIGHEST_PROTOCOL)
             process = self._process or self.start()
+            if self.closed:  # while the process was started, which `close` did not see
+                process.kill()
             assert process.stdin is not None
             assert process.stdout is not None
             try:

@@ -66,10 +66,9 @@ def ensure_key(
         storage_errors(folder),
         locked_folder(folder),
     ):  # two runs started at the same time must not make two keys
-        if (folder / KEY_FILE).exists():
-            finish_rotation(folder)
-            return _load(folder, ask_passphrase)
-        return create_key(folder, principal=principal)
+        if not (folder / KEY_FILE).exists():
+            return create_key(folder, principal=principal)
+    return load_key(folder, ask_passphrase=ask_passphrase)  # a passphrase may take long, others need the lock
 
 
 def create_key(folder: Path, *, principal: str | None = None, passphrase: bytes | None = None) -> BenchKey:

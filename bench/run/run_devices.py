@@ -101,7 +101,13 @@ class RunDevices:
         if not self.was_opened or self._made_safe:
             return
         self._made_safe = True
-        self._ends = lost_ends(NOT_REOPENED) if self._devices is None else self._devices.make_each_safe()
+        try:
+            self._ends = lost_ends(NOT_REOPENED) if self._devices is None else self._devices.make_each_safe()
+        except KeyboardInterrupt:
+            self._say(
+                "CHECK THE BENCH: ended by Ctrl-C before stage, light and camera confirmed that they are safe."
+            )
+            raise
         self.unsafe = unsafe_devices(self._ends)
         for fault in self.unsafe:
             self._say(f"CHECK THE BENCH: {fault}")

@@ -81,7 +81,7 @@ class Devices:
                 continue
             try:
                 ends.append(DeviceEnd(name, "confirmed safe", action(device)))
-            except DriverError as error:
+            except Exception as error:  # noqa: BLE001 - whatever a driver does, the next device is made safe
                 ends.append(DeviceEnd(name, "not confirmed", f"{fault}: {error}"))
         return ends
 

@@ -15,7 +15,6 @@ from bench.stations.devices import stop_stage, switch_off
 from bench.stations.sections import AnyLight, AnyStage
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
-from drivers.errors import DriverError
 
 
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
@@ -31,7 +30,7 @@ def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
         try:
             with closing(section.open_device(str, clock=clock, wire_log=None)) as device:
                 ends.append(DeviceEnd(name, "confirmed safe", make_safe(device)))
-        except DriverError as error:
+        except Exception as error:  # noqa: BLE001 - whatever a driver does, the light is asked, too
             fault = f"the {name} of a dead process could not be made safe: {error}"
             ends.append(DeviceEnd(name, "not confirmed", fault))
     return [*ends, DeviceEnd("camera", "not confirmed", NOT_ASKED)] if ends else []

@@ -126,9 +126,9 @@ def make_certificate(
     folder = folder.absolute()
     verdicts = verdict_history(laboratory.ledger.runs(), source.results, lab.value)
     trial_identity, trial = _tried(source, lab, further, despite, verdicts)
+    key = laboratory.key()  # before the others wait: it may ask for a passphrase
     with one_at_a_time(laboratory.ledger.home):
         completed = complete_open(laboratory.ledger)
-        key = laboratory.key()
         now = laboratory.utc_now()
         replaced = None if amended is None else amended(trial)
         wanted = replace(

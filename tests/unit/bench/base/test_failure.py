@@ -105,6 +105,14 @@ def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, ca
     assert line_text(read_journal(scene.folder / "journal.jsonl")[0][-1]).endswith("light may be on.")
 
 
+def test_an_error_that_no_driver_foresees_leaves_no_other_device_on(tmp_path):
+    scene = scene_with(tmp_path, {"stage.stop": RuntimeError("can't start new thread")})
+    scene.run()
+    (run_end,) = scene.data_of(Event.RUN_ENDED)
+    states = {device["device"]: device["state"] for device in run_end["devices"]}
+    assert states == {"stage": "not confirmed", "light": "confirmed safe", "camera": "confirmed safe"}
+
+
 def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
     assert show_run(RunEnd("failed", "the port is missing", tmp_path, None)) == 1
     errors = capsys.readouterr().err

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from running import python
 from terminal_screen import Terminal
 from waiting import wait_until
 
@@ -157,21 +158,25 @@ def test_a_stop_ends_the_question():
         asked(Terminal(), clock=clock)
 
 
-class Unplugged(io.StringIO):
-    tried = 0
+IN_THE_BACKGROUND = """
+import os, pty
+from pathlib import Path
+from bench.base.clock import BenchClock
+from bench.base.progress import ask
+shell, _ = pty.fork()
+if shell:
+    print(os.WEXITSTATUS(os.waitpid(shell, 0)[1]))
+elif job := os.fork():
+    os._exit(0 if os.WIFEXITED(os.waitpid(job, os.WUNTRACED)[1]) else 1)
+else:
+    os.setpgid(0, 0)
+    ask("?", default="abort", timeout_s=0.3, clock=BenchClock(), say=lambda _: None, folder=Path("run"))
+    os._exit(0)
+"""
 
-    def write(self, text):
-        self.tried += 1
-        raise OSError(5, "Input/output error")
 
-
-def test_a_terminal_that_has_gone_does_not_end_the_run():
-    gone = Unplugged()
-    with Progress(total_s=5.0, poses=1, stream=gone) as progress:
-        progress.show("recording", pose=1)
-        progress.say("still here")
-    assert gone.tried
-    assert gone.getvalue() == ""
+def test_a_question_in_the_background_of_a_terminal_suspends_no_run():
+    assert python("-c", IN_THE_BACKGROUND).stdout == "0\n"
 
 
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])

@@ -54,13 +54,22 @@ def test_a_program_ends_after_the_work_that_its_clock_began():
 
 
 def test_the_third_ctrl_c_ends_the_process_at_once():
-    reasons = []
-    with stop_on_signals(reasons.append):
+    reasons, pressed_s = [], iter([5.0, 6.5])
+    with stop_on_signals(reasons.append, monotonic=lambda: next(pressed_s)):
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert reasons == ["stopped by Ctrl-C", "SIGTERM received"]
+
+
+def test_a_key_that_is_held_is_one_press():
+    """A keyboard repeats it after half a second, then thirty times a second."""
+    reasons, pressed_s = [], iter([5.0, *(5.5 + 0.033 * n for n in range(60))])
+    with stop_on_signals(reasons.append, monotonic=lambda: next(pressed_s)):
+        for _ in range(61):
+            signal.raise_signal(signal.SIGINT)
+    assert reasons == ["stopped by Ctrl-C"]
 
 
 def test_a_hang_up_that_nohup_ignores_stops_nothing():
@@ -178,6 +187,27 @@ def test_the_work_goes_on_after_the_readers_of_its_output_have_gone(both):
     assert errors == (None if both else b"error 0\nerror 1\nerror 2\n")
 
 
+STOPPED = """
+import sys
+from bench.base.lost_output import protect_output
+protect_output()
+for number in range(3000):
+    print("state", number, "." * 60, file=sys.stderr, flush=True)
+print("ends", flush=True)
+"""
+
+
+@pytest.mark.parametrize("opened", [os.pipe, os.openpty])
+def test_the_work_does_not_wait_for_a_reader_of_its_errors_that_has_stopped(opened):
+    """Ctrl-S, a pager, a stalled connection."""
+    read, write = opened()
+    process = subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, stderr=write)
+    assert process.communicate(timeout=60)[0] == b"ends\n"
+    assert os.read(read, 100).startswith(b"state 0 ...")
+    os.close(read)
+    os.close(write)
+
+
 CLOSED = """
 import os, subprocess, sys
 from bench.base.lost_output import protect_output
@@ -215,3 +245,11 @@ def test_a_full_disk_behind_the_output_is_one_message():
     errors = ended.stderr.decode()
     assert errors.startswith("starbench: standard output: ")
     assert errors.count("\n") == 1
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_behind_the_errors_ends_no_work():
+    with Path("/dev/full").open("wb") as full:
+        process = started(subprocess.PIPE, full.fileno())
+        process.communicate(b"begin\n")
+    assert process.returncode == 8

@@ -54,6 +54,16 @@ def test_two_first_runs_at_once_do_not_make_two_keys(tmp_path):
     assert made[0].fingerprint == first.fingerprint
 
 
+def test_others_use_the_folder_while_a_passphrase_is_asked_for(tmp_path):
+    create_key(tmp_path, passphrase=b"secret")
+
+    def ask(_):
+        with locked_folder(tmp_path):
+            return b"secret"
+
+    assert not ensure_key(tmp_path, ask_passphrase=ask).created
+
+
 def test_a_key_is_never_made_over_another_and_a_missing_one_is_told_with_how_to_make_it(tmp_path):
     with pytest.raises(EvidenceError, match="Make one"):
         load_key(tmp_path)
