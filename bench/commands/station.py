@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from bench.base.clock import BenchClock
+from bench.base.clock import Aborted, BenchClock, stop_on_signals
 from bench.base.entry_points import SCHEMAS, entry_points, load
 from bench.base.errors import BenchError, UsageError
 from bench.base.pasteable import pasteable
@@ -145,10 +145,8 @@ def simulate(station_name: str, seed: int) -> int:
             where=station_name,
             remedy="Use the station `simulated`.",
         )
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    with SimulatedBench(station.simulated_world, seed) as bench:
+    clock = BenchClock()
+    with stop_on_signals(clock.request_stop), SimulatedBench(station.simulated_world, seed) as bench:
         for name, port in bench.endpoints.items():
             click.echo(f"{name:<8} {port}")
         click.echo(
@@ -163,9 +161,9 @@ def simulate(station_name: str, seed: int) -> int:
                 click.echo(bench.order(line))
 
         threading.Thread(target=obey_orders, daemon=True).start()
-        while bench.alive and not stop.wait(0.5):
-            pass
-        if not bench.alive:
+        with suppress(Aborted):
+            while bench.alive:
+                clock.sleep(0.5)
             raise BenchError("The simulated bench ended by itself.", where=station_name)
     return 0
 

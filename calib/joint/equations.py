@@ -263,12 +263,12 @@ class Bench:
         roots, whole = np.sqrt(weights), float(weights.sum())
         weighted = roots * residuals
         squares = max(float((weighted**2).sum()), np.finfo(float).eps ** 2 * whole)  # 0 in a forecast
-        of_glass = 1.0 - 2.0 * self.stars.local**2 * whole / squares
         star, cell = self._alike
         products, pairs = _of_pairs(star, weighted, roots)
         rho = products / squares * whole / max(pairs, 1.0)
         times = 1.0 + (np.bincount(star)[star] - 1) * max(0.0, min(1.0, rho))
         if neighbours:
+            of_glass = 1.0 - 2.0 * self.stars.local**2 * whole / squares
             in_cell = _of_pairs(cell, weighted, roots)
             rho = (in_cell[0] - products) / squares * whole / max(in_cell[1] - pairs, 1.0)
             others = np.bincount(cell, 1.0 / times)[cell] - 1.0

@@ -57,7 +57,7 @@ class Stars:
     polynomials: Array  # (N, K)
     sigma_px: Array  # (N,) stated noise of each star: its covariance's geometric mean
     discs: tuple[Disc, ...]  # Visible disc of each view, if the rim is in view
-    local: float  # 1-sigma that neighbouring stars show, over the stated one; NaN if views have few stars
+    given: tuple[View, ...]
 
     @classmethod
     def of(cls, views: Sequence[View], basis: FieldBasis, discs: Sequence[Disc] = ()) -> Stars:
@@ -77,8 +77,14 @@ class Stars:
             basis.polynomials(target_mm),
             np.linalg.det(whitening) ** -0.5,
             tuple(discs),
-            float(np.median([max(noise_px(view), FINEST_PX) / _usual_sigma_px(view) for view in views])),
+            tuple(views),
         )
+
+    @cached_property
+    def local(self) -> float:
+        """1-sigma that neighbouring stars show, over the stated one; NaN if views have few stars."""
+        shown = [max(noise_px(view), FINEST_PX) / _usual_sigma_px(view) for view in self.given]
+        return float(np.median(shown))
 
     def moved(self, shifts_mm: Array, basis: FieldBasis) -> Stars:
         """Return the stars with (m, 2) shifts of the views on the target; the discs go with them."""
