@@ -39,7 +39,6 @@ _IN_PLACE: Final = (
 )
 """What people have in place of the file that a program wrote."""
 _OTHERS: Final = (
-    (b"% Data file containing", "a DAT file", ""),
     (b"\x89HDF", "an HDF5 file", ""),
     (b"\x89PNG", "a PNG image", ""),
     (b"\xff\xd8\xff", "a JPEG image", ""),
@@ -73,12 +72,18 @@ def in_place_of_file(start: bytes) -> tuple[str, str] | None:
     return next(((what, remedy) for begin, what, remedy in _IN_PLACE if re.match(begin, start, flags)), None)
 
 
+def is_dat(start: bytes) -> bool:
+    """Return whether a file is a DAT file: a line of its header says so, the first one of Prophesee's own writers."""
+    return re.match(rb"(?:% [^\n]*\n)*?% Data file containing", start) is not None
+
+
 def kind_of_file(start: bytes, ending: str = "") -> tuple[str, str]:
     """Return what a file is that is no RAW file, and what to do with it, or ""."""
     if not start:
         return "empty", ""
-    if known := unread_picture(start, ending) or in_place_of_file(start):
-        return known
+    known = unread_picture(start, ending) or in_place_of_file(start)
+    if known or is_dat(start):
+        return known or ("a DAT file", "")
     for begin, what, remedy in _OTHERS:
         if start.startswith(begin):
             return what, remedy

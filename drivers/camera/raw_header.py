@@ -16,7 +16,7 @@ from datetime import datetime
 from typing import Final, NamedTuple
 
 from drivers.camera import CameraIdentity
-from drivers.camera.file_kinds import kind_of_file
+from drivers.camera.file_kinds import is_dat, kind_of_file
 from drivers.errors import NotARecording
 
 MAX_HEADER_BYTES: Final = 65536
@@ -93,7 +93,7 @@ def parse_header(
     Raises `NotARecording` if this is no RAW header, it does not end, it names an encoding that is not read, or the size
     is missing.
     """
-    if not start.startswith(b"% ") or start.startswith(b"% Data file containing"):
+    if not start.startswith(b"% ") or is_dat(start):
         what, remedy = kind_of_file(start)
         raise NotARecording(
             f"This is not a RAW recording: it is {what}.",

@@ -56,8 +56,10 @@ def test_faery_reads_and_writes_the_same_events(tmp_path, converted):
 def test_expelliarmus_writes_the_same_events(tmp_path):
     expelliarmus = pytest.importorskip("expelliarmus", reason="expelliarmus is not installed")
     rows = table([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1")])
-    expelliarmus.Wizard(encoding="evt2").save(str(tmp_path / "a.raw"), rows)
-    assert_same(read(tmp_path / "a.raw"))
+    for encoding, ending in (("dat", "dat"), ("evt2", "raw")):
+        path = tmp_path / f"{encoding}.{ending}"
+        expelliarmus.Wizard(encoding=encoding).save(str(path), rows)
+        assert_same(read(path))
 
 
 def test_evlib_reads_and_writes_the_same_events(tmp_path, converted):

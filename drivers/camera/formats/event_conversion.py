@@ -35,6 +35,7 @@ from drivers.camera.event_arrays import (
 )
 from drivers.camera.evt3 import Words
 from drivers.camera.evt3_state import MAX_BACK_STEP_US
+from drivers.camera.file_kinds import is_dat
 from drivers.camera.formats.event_exports import (
     ExportSummary,
     Progress,
@@ -45,7 +46,6 @@ from drivers.camera.formats.event_exports import (
     export_parquet,
 )
 from drivers.camera.formats.event_files import open_events
-from drivers.camera.formats.prophesee_words import is_dat
 from drivers.camera.raw_check import read_start
 from drivers.camera.raw_file import RawFile, is_recording
 from drivers.camera.raw_header import MAX_SIDE_PX, encoding_of, header_fields, render_fields

@@ -30,7 +30,7 @@ from drivers.camera.event_arrays import (
     too_many_edges,
 )
 from drivers.camera.evt3 import Words
-from drivers.camera.file_kinds import FORMS_OF_EVENTS, in_place_of_file
+from drivers.camera.file_kinds import FORMS_OF_EVENTS, in_place_of_file, is_dat
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import NO_EVENTS, source_of_library
@@ -100,7 +100,7 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
     if not start:
         read_start(path)  # refuses a folder
     _require_no_unit(choices)
-    if prophesee_words.is_dat(start):
+    if is_dat(start):
         return prophesee_words.from_dat(path, start, choices)
     header = parse_header(start, where=str(path), sensor_size=choices.sensor_size, evt3_only=False)
     if header.encoding == "EVT3":

@@ -43,11 +43,6 @@ _DAT_LAYOUTS: Final = {"1": (9, 8, 1), "2": (14, 14, 4)}
 """Number of bits of x, y and polarity, by the version of a DAT file."""
 
 
-def is_dat(start: bytes) -> bool:
-    """Return whether a file is a DAT file, by the first line of Prophesee's writers."""
-    return start.startswith(b"% Data file containing")
-
-
 class _S(IntEnum):
     """Index in the state of a decoder of EVT2."""
 

@@ -103,7 +103,8 @@ def test_version_1_of_dat_has_another_layout(tmp_path, version):
 
 def test_a_dat_file_without_a_size_is_read_with_one_that_is_given(tmp_path):
     rows, path = some_events(50), tmp_path / "a.dat"
-    path.write_bytes(dat_head(2, size=False) + dat_rows(rows)[len(DAT_HEAD) + 2 :])
+    own_line = b"% This DAT file has been generated through expelliarmus \n"  # before Prophesee's lines
+    path.write_bytes(own_line + dat_head(2, size=False) + dat_rows(rows)[len(DAT_HEAD) + 2 :])
     with pytest.raises(NotARecording, match="--sensor-size"):
         import_events(path)
     assert_same(import_events(path, ReadingChoices((640, 480))), rows)
