@@ -23,16 +23,14 @@ SEQUENCE = "5e" * 32
 
 
 @pytest.mark.parametrize("used", ["", "6f" * 32])
-def test_a_method_that_names_its_sequence_allows_no_other(used):
+def test_a_lab_that_answers_every_clause_has_no_fault_and_a_method_that_names_its_sequence_allows_no_other(
+    used,
+):
     lab = sample_lab(LAB.replace("version: 3.2,", f"version: 3.2, sequence_sha256: {SEQUENCE},"))
     assert faults_of_lab(lab, sample_results(), SEQUENCE) == []
     (fault,) = faults_of_lab(lab, sample_results(), used)
     assert fault.path == "method.sequence_sha256"
     assert f"another sequence.yaml: SHA-256 {used or 'not known'}" in str(fault)
-
-
-def test_the_sample_answers_every_clause():
-    assert faults_of_lab(sample_lab(), sample_results(), SEQUENCE) == []
 
 
 def test_every_key_of_a_clause_can_be_missing_and_is_then_named():

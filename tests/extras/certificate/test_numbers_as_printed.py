@@ -208,15 +208,6 @@ def with_own_limits(results, lab, *limits):
 WIDE = {"result": "fx", "specification": "drawing 4711", "lower": 3300.0, "upper": 3400.0}
 
 
-def test_limits_of_the_laboratory_stand_beside_those_of_the_run():
-    results, lab = run_with_limits({"result": "fx", "upper": 3300.0, "specification": "drawing 4711"})
-    certificate = compose(*with_own_limits(results, lab, WIDE), identity())
-    assert [(statement.specification, statement.verdict) for statement in certificate.conformity] == [
-        ("drawing 4711", "pass"),
-        (certificate.conformity[1].specification, "fail"),
-    ]
-
-
 def test_limits_that_the_laboratory_states_as_the_run_does_stand_there_once():
     results, lab = run_with_limits({"result": "fx", "lower": 3300.0, "upper": 3400.0})
     results, lab = with_own_limits(results, lab, WIDE)
