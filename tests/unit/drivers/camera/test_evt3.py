@@ -135,11 +135,6 @@ def test_the_clock_wraps_after_24_bits_and_times_go_on():
     assert statistics.gap_count == 0
 
 
-def test_time_low_stepping_back_by_some_microseconds_is_no_wrap():
-    events, _, _ = decode(high(1), low(20), row(0), event(0), low(9), event(1))
-    assert [t for t, *_ in events] == [4116, 4105]
-
-
 @pytest.mark.parametrize(
     ("words", "last_t_us"),
     [([high(1), low(100), low(36)], 4096 + 36), ([high(3048), low(0), high(1000)], LOOP_US + (1000 << 12))],

@@ -24,9 +24,6 @@ LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 MOTIONS = {b"move", b"movr", b"home", b"left", b"rigt"}
 
 
-"""A status of an axis at rest in alarm."""
-
-
 def axes(**changes) -> list[XimcAxis]:
     words = {"steps_per_deg": SCALE, "limits": LIMITS, **changes}
     pan = XimcAxis(name="pan", port="a", serial="12345", **words)
