@@ -1,5 +1,6 @@
 """Events, and the bytes of older files of them, that a test makes itself."""
 
+import h5py
 import numpy as np
 
 from drivers.camera.event_arrays import Events, Triggers
@@ -40,6 +41,21 @@ def drawn_rows(seed, n, size, *, from_us, span_us):
         "t": t,
         **{name: chance.integers(0, most, n) for name, most in zip("xyp", (*size, 2), strict=True)},
     }
+
+
+def write_npz(folder, columns):
+    """Write columns of events as np.savez does; return the path."""
+    np.savez(folder / "a.npz", **columns)
+    return folder / "a.npz"
+
+
+def write_hdf5(folder, columns, **other):
+    """Write columns of events into a group of an HDF5 file, and other data beside it; return the path."""
+    with h5py.File(folder / "a.h5", "w") as file:
+        for name, values in columns.items():
+            file[f"events/{name}"] = values
+        file.update(other)
+    return folder / "a.h5"
 
 
 def same(ours, theirs):

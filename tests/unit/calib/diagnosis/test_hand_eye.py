@@ -20,14 +20,14 @@ def quiet(seed: int, **drawn) -> DrawnGimbal:
     return draw_gimbal(seed, poses=6, range_deg=5.0, noise_arcsec=2.0, focal_sigma=0.0, **drawn)
 
 
-def checked(bench: DrawnGimbal) -> HandEyeCheck:
-    return check_hand_eye(bench.rotations, bench.covariance, bench.readings)
+def judged(bench: DrawnGimbal, **options) -> HandEyeCheck:
+    return check_hand_eye(bench.rotations, bench.covariance, bench.readings, **options)
 
 
 def test_a_scale_error_is_found_with_its_uncertainty():
     z = []
     for bench in (quiet(seed, scale_error=2e-3) for seed in range(8)):
-        check = checked(bench)
+        check = judged(bench)
         z += [(check.scale[AXES[i]] - bench.scales[i]) / check.scale_sigma[AXES[i]] for i in (0, 1)]
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.35)
 
@@ -35,7 +35,7 @@ def test_a_scale_error_is_found_with_its_uncertainty():
 def test_a_reading_that_is_off_shows_in_arc_seconds():
     bench = quiet(5)
     bench.angles[1, 0] += 60.0 / 3600
-    check = checked(bench)
+    check = judged(bench)
     assert check.verdict != AGREES
     assert np.linalg.norm(check.residuals_arcsec, axis=1).argmax() == 1
     assert np.abs(check.residuals_arcsec[1]).max() > 25
@@ -80,10 +80,6 @@ NINE = {"poses": 9, "raster": True, "range_deg": 6.0, "noise_arcsec": 2.0}
 BIASED = {"bias_deg": 0.08, "focal_error": 0.029, "focal_sigma": 0.016}
 #: 1 sigma of a reading, degrees.
 READ = 0.0025
-
-
-def judged(bench: DrawnGimbal, **options) -> HandEyeCheck:
-    return check_hand_eye(bench.rotations, bench.covariance, bench.readings, **options)
 
 
 def seen(change, *, left=True):

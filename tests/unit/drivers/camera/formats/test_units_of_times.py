@@ -1,10 +1,9 @@
 """Times whose unit a file does not state: what no camera sends is refused, and the unit can be said."""
 
-import h5py
 import numpy as np
 import pytest
 from imported import import_events
-from made_event_files import drawn_rows
+from made_event_files import drawn_rows, write_hdf5, write_npz
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats.event_conversion import convert
@@ -18,21 +17,7 @@ T_US = OTHERS.pop("t")
 FRACTIONS = np.random.default_rng(5).integers(0, 1000, N)
 
 
-def npz(folder, t, **other):
-    np.savez(folder / "a.npz", t=t, **{**OTHERS, **other})
-    return folder / "a.npz"
-
-
-def hdf5(folder, t, **other):
-    with h5py.File(folder / "a.h5", "w") as file:
-        for name, values in {"t": t, **OTHERS}.items():
-            file[f"events/{name}"] = values
-        for name, values in other.items():
-            file[name] = values
-    return folder / "a.h5"
-
-
-@pytest.mark.parametrize("make", [npz, hdf5])
+@pytest.mark.parametrize("make", [write_npz, write_hdf5])
 @pytest.mark.parametrize(
     ("unit", "t"),
     [
@@ -44,7 +29,7 @@ def hdf5(folder, t, **other):
     ],
 )
 def test_times_in_another_unit_are_refused_and_read_once_it_is_said(tmp_path, make, unit, t):
-    path = make(tmp_path, t)
+    path = make(tmp_path, OTHERS | {"t": t})
     with pytest.raises(NotARecording, match=f"are probably in {unit}.*--time-unit {unit}"):
         import_events(path, ReadingChoices(SIZE))
     t_us = import_events(path, ReadingChoices(SIZE, time_unit=unit)).events.t
@@ -53,7 +38,7 @@ def test_times_in_another_unit_are_refused_and_read_once_it_is_said(tmp_path, ma
 
 @pytest.mark.parametrize("t", [T_US, T_US * 1e-6, T_US.astype("f8")])
 def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
-    with open_events(npz(tmp_path, t), ReadingChoices(SIZE)) as source:
+    with open_events(write_npz(tmp_path, OTHERS | {"t": t}), ReadingChoices(SIZE)) as source:
         t_us = np.concatenate([events.t for events, _ in source.pieces()])
         assert source.assumed == {"time_unit": "s" if t.max() < 1000 else "us"}
     assert np.array_equal(t_us, T_US)
@@ -63,7 +48,9 @@ def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
 def test_rates_between_rest_and_flicker_are_read(tmp_path, rate):
     span_us = 1e6 * N / (SIZE[0] * SIZE[1] * rate)
     t = np.linspace(0, span_us, N).astype(int)
-    assert np.array_equal(import_events(npz(tmp_path, t), ReadingChoices(SIZE)).events.t, t)
+    assert np.array_equal(
+        import_events(write_npz(tmp_path, OTHERS | {"t": t}), ReadingChoices(SIZE)).events.t, t
+    )
 
 
 @pytest.mark.parametrize("given", ["us", "ms", "s"])
@@ -71,7 +58,7 @@ def test_a_given_unit_is_compared_with_the_rate_of_events(tmp_path, given):
     """A still camera is read once the name of its column states the unit."""
     t = np.sort(T_US * 1000 + FRACTIONS)
     with pytest.raises(NotARecording, match=f"in ns.* says {given}.*--time-unit ns"):
-        import_events(npz(tmp_path, t), ReadingChoices(SIZE, time_unit=given))
+        import_events(write_npz(tmp_path, OTHERS | {"t": t}), ReadingChoices(SIZE, time_unit=given))
     np.savez(tmp_path / "a.npz", t_us=t, **OTHERS)
     assert np.array_equal(import_events(tmp_path / "a.npz", ReadingChoices(SIZE)).events.t, t)
 
@@ -91,7 +78,7 @@ def test_times_in_us_with_parts_of_a_us_are_told_by_every_unit_that_fits(tmp_pat
 def test_a_layout_whose_times_are_in_us_needs_no_guess(tmp_path):
     """Those that add an offset, and Starbench's own, at any rate."""
     t = T_US * 1000
-    path = hdf5(tmp_path, t, t_offset=0)
+    path = write_hdf5(tmp_path, OTHERS | {"t": t}, t_offset=0)
     assert np.array_equal(import_events(path, ReadingChoices(SIZE)).events.t, t)
     convert(path, tmp_path / "b.npz", "numpy", ReadingChoices(SIZE, time_unit="us"))
     convert(tmp_path / "b.npz", tmp_path / "c.h5", "hdf5", ReadingChoices())
@@ -106,7 +93,9 @@ def test_the_name_of_a_column_states_the_unit(tmp_path, name):
 
 def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
     with pytest.raises(NotARecording, match=r"in us\. .*--time-unit"):
-        import_events(hdf5(tmp_path, T_US, t_offset=0), ReadingChoices(SIZE, time_unit="ns"))
+        import_events(
+            write_hdf5(tmp_path, OTHERS | {"t": T_US}, t_offset=0), ReadingChoices(SIZE, time_unit="ns")
+        )
     (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
     with pytest.raises(NotARecording, match="Leave out --time-unit"):
         import_events(tmp_path / "a.raw", ReadingChoices(time_unit="ns"))
@@ -115,7 +104,7 @@ def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
 @pytest.mark.parametrize("unit", ["ns", "ms"])
 def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, unit):
     since = 1_600_000_000_000_000 + T_US
-    path = npz(tmp_path, since * 1000 if unit == "ns" else since * 1e-3)
+    path = write_npz(tmp_path, OTHERS | {"t": since * 1000 if unit == "ns" else since * 1e-3})
     with pytest.raises(NotARecording, match=f"2100: .* in {unit}"):
         import_events(path, ReadingChoices(SIZE))
     imported = import_events(path, ReadingChoices(SIZE, time_unit=unit))
@@ -127,10 +116,12 @@ def test_times_that_are_no_numbers_are_told(tmp_path):
     t = T_US * 1e-6
     t[7] = np.nan
     with pytest.raises(NotARecording, match="times are no numbers"):
-        import_events(npz(tmp_path, t), ReadingChoices(SIZE))
+        import_events(write_npz(tmp_path, OTHERS | {"t": t}), ReadingChoices(SIZE))
 
 
 @pytest.mark.parametrize(("size", "is_told"), [((1280, 720), True), ((640, 480), False), ((640, 720), False)])
 def test_a_given_size_that_the_events_do_not_fill_is_told(tmp_path, size, is_told):
-    written = convert(npz(tmp_path, T_US), tmp_path / "b.npz", "numpy", ReadingChoices(size))
+    written = convert(
+        write_npz(tmp_path, OTHERS | {"t": T_US}), tmp_path / "b.npz", "numpy", ReadingChoices(size)
+    )
     assert written.assumed.get("sensor_size") == ("640 x 480" if is_told else None)
