@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from turned_clock import TurnedClock
 
 from bench.stations.station_text import find_description
 from bench.stations.text_descriptions import StageProtocol
@@ -35,17 +36,11 @@ from simulators.stages.thorlabs_apt import AptController
 LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 
 
-class VirtualClock:
+class VirtualClock(TurnedClock):
     """Time passes where the driver waits, for a reply or between two requests."""
 
     def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
+        super().__init__(100.0)
 
 
 class DirectLine:

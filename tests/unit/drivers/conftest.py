@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from turned_clock import TurnedClock
 
 from drivers.file_lock import FOLDER_VARIABLE
 from drivers.link import Link
@@ -47,22 +48,6 @@ class CountedLink(Link):
     def take_unsolicited(self, line: bytes) -> bool:
         self.heard += [line] if line.startswith(b"!") else []
         return line.startswith(b"!")
-
-
-class TurnedClock:
-    """Time passes only where somebody waits; `error` is raised by the next wait."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-        self.error: BaseException | None = None
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
-        if self.error is not None:
-            raise self.error
 
 
 @pytest.fixture(autouse=True)

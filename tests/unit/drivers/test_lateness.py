@@ -1,6 +1,7 @@
 """Lateness of a busy computer: measured, told, and no reason to give a wrong remedy."""
 
 import pytest
+from turned_clock import TurnedClock
 
 from drivers import lateness
 from drivers.clock import SystemClock
@@ -10,19 +11,9 @@ from drivers.link import TRIES, TRIES_WHEN_LATE, repeat
 from tests.unit.drivers.conftest import CountedLink
 
 
-class Time:
-    """A time that a test sets."""
-
-    def __init__(self):
-        self.now_s = 0.0
-
-    def __call__(self):
-        return self.now_s
-
-
 def test_a_delay_is_counted_while_it_lasts_and_once_afterwards():
-    now = Time()
-    measured = Lateness(now)
+    now = TurnedClock()
+    measured = Lateness(now.monotonic)
     now.now_s = 2.02
     assert measured.lost_s() == pytest.approx(2.0)
     measured.woken()
@@ -34,9 +25,9 @@ def test_a_delay_is_counted_while_it_lasts_and_once_afterwards():
 
 
 def test_a_deadline_does_not_count_what_this_process_could_not_use():
-    now = Time()
-    measured = Lateness(now)
-    deadline = Deadline(1.0, now_s=now, lateness=measured)
+    now = TurnedClock()
+    measured = Lateness(now.monotonic)
+    deadline = Deadline(1.0, now_s=now.monotonic, lateness=measured)
     now.now_s = 5.0
     assert deadline.left_s() == pytest.approx(1.0 - 0.02)
     assert deadline.starved_s() == pytest.approx(4.98)
@@ -48,11 +39,11 @@ def test_a_deadline_does_not_count_what_this_process_could_not_use():
 
 
 def test_a_deadline_follows_the_process_that_simulates_the_device_but_not_for_ever():
-    now, lived = Time(), Time()
-    measured = Lateness(now)
-    follow_clock("there", lived)
+    now, lived = TurnedClock(), TurnedClock()
+    measured = Lateness(now.monotonic)
+    follow_clock("there", lived.monotonic)
     try:
-        deadline = Deadline(1.0, "there", now_s=now, lateness=measured)
+        deadline = Deadline(1.0, "there", now_s=now.monotonic, lateness=measured)
         for _ in range(500):  # 10 s, of which the other process could use 0.1 s
             now.now_s += 0.02
             measured.woken()
@@ -68,9 +59,9 @@ def test_a_deadline_follows_the_process_that_simulates_the_device_but_not_for_ev
 
 
 def test_a_slow_device_on_an_idle_computer_is_not_blamed_on_the_computer():
-    now = Time()
-    measured = Lateness(now)
-    deadline = Deadline(1.0, now_s=now, lateness=measured)
+    now = TurnedClock()
+    measured = Lateness(now.monotonic)
+    deadline = Deadline(1.0, now_s=now.monotonic, lateness=measured)
     for _ in range(100):
         now.now_s += 0.021
         measured.woken()
@@ -107,7 +98,7 @@ def test_a_time_out_on_a_busy_computer_says_so(monkeypatch, ask_a_silent_port):
 
 
 def test_a_time_out_on_an_idle_computer_names_the_line(monkeypatch, ask_a_silent_port):
-    monkeypatch.setattr(lateness, "own_lateness", lambda: Lateness(Time()))
+    monkeypatch.setattr(lateness, "own_lateness", lambda: Lateness(TurnedClock().monotonic))
     error = ask_a_silent_port()
     assert "baud rate" in error.remedy
     assert error.late_s == 0.0
@@ -141,7 +132,7 @@ def test_a_makers_software_that_holds_the_interpreter_is_no_busy_computer():
 
 
 def test_a_sleep_is_told_before_the_thread_that_measures_it_has_run():
-    clock = [0.0]
-    lateness = Lateness(lambda: clock[0])
-    clock[0] = 14.0 + PERIOD_S
+    clock = TurnedClock()
+    lateness = Lateness(clock.monotonic)
+    clock.now_s = 14.0 + PERIOD_S
     assert lateness.summary()["longest_s"] == pytest.approx(14.0)

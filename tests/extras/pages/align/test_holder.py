@@ -1,22 +1,16 @@
 """Which page holds the controls of the align page."""
 
 import pytest
+from turned_clock import TurnedClock
 
 from bench.base.errors import ControlRefused
 from bench.extras.pages.align.holder import BEAT_LIMIT_S, Holder
 
 
-class Clock:
-    now_s = 100.0
-
-    def __call__(self):
-        return self.now_s
-
-
 @pytest.fixture
 def holder():
-    clock = Clock()
-    made = Holder(clock)
+    clock = TurnedClock(100.0)
+    made = Holder(clock.monotonic)
     made.clock = clock
     return made
 

@@ -50,13 +50,6 @@ WARMING = ThermalTruth(
 )
 
 
-class Clock:
-    now_s = 1000.0
-
-    def __call__(self):
-        return self.now_s
-
-
 @given(on_s=st.floats(0.0, 20_000.0))
 def test_the_camera_warms_to_its_own_heat_on_top_of_the_room(on_s):
     expected = 21.0 + 0.5 * on_s / 3600.0 + 20.0 * (1.0 - math.exp(-on_s / 720.0))
@@ -64,8 +57,7 @@ def test_the_camera_warms_to_its_own_heat_on_top_of_the_room(on_s):
 
 
 def test_the_focal_length_follows_the_temperature_of_the_moment():
-    clock = Clock()
-    world = World(Truth(thermal=WARMING), clock=clock)
+    world = World(Truth(thermal=WARMING), clock=lambda: 1000.0)
     camera = world.truth.camera
     for on_s in (0.0, 300.0, 7200.0):
         warmth = world.temperature_c(1000.0 + on_s) - REFERENCE_C
