@@ -4,14 +4,13 @@ import os
 import pwd
 import re
 import shutil
-import subprocess
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from refusals import denied, full
+from running import python
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import RunFolderError, StorageError, UsageError
@@ -77,20 +76,14 @@ def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
 
 
 def test_a_second_process_is_refused_and_the_first_one_s_end_frees_the_folder(run, journal):
-    def second():
-        command = [sys.executable, "-c", HOLD, run.path]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    refused = second()
-    assert refused.returncode != 0
+    refused = python("-c", HOLD, run.path, status=1)
     assert "Another process" in refused.stderr
     if Path("/proc/locks").exists():  # who holds it: process, user, since when, and the folder
         user = pwd.getpwuid(os.getuid()).pw_name
         assert f"process {os.getpid()} of {user}, since 20" in refused.stderr
         assert f"UTC, in {run.path}" in refused.stderr
     run.close()
-    accepted = second()
-    assert accepted.returncode == 0, accepted.stderr
+    python("-c", HOLD, run.path)
 
 
 @pytest.mark.parametrize(
