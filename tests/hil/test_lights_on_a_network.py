@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import closing
 
 import pytest
 from waiting import wait_until
@@ -119,13 +120,10 @@ def test_another_device_at_the_same_address_is_not_set(network) -> None:
 @pytest.mark.slow
 def test_a_line_that_a_network_has_forgotten_is_opened_again_to_switch_off() -> None:
     """A gateway drops a connection without a word: nothing comes back, and nothing says why."""
-    network = Network("gardasoft", idle_s=0.0)
-    try:
+    with closing(Network("gardasoft", idle_s=0.0)) as network:
         network.shine()
         forgotten, receive = network.port.client, network.driver.receive
         network.driver.receive = lambda data: b"" if network.port.client is forgotten else receive(data)
         with pytest.raises(ReplyTimeout):
             network.light.read()
         network.see_it_go_dark()
-    finally:
-        network.close()

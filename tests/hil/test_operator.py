@@ -4,7 +4,18 @@ import json
 
 import pytest
 from quick_runs import THREE_NAMED, quick_words
-from running import PATIENCE_S, called, entering, journal, light_outputs, numbers, results, start, wait_for
+from running import (
+    PATIENCE_S,
+    called,
+    entering,
+    journal,
+    killed_at_end,
+    light_outputs,
+    numbers,
+    results,
+    start,
+    wait_for,
+)
 
 from bench.run.control import Command, send
 
@@ -14,10 +25,8 @@ def process(home, tmp_path):
     """A run under way, which a test commands; it stands still long enough before each recording to be met there."""
     words, sequence = quick_words(tmp_path, THREE_NAMED), tmp_path / "sequence.yaml"
     sequence.write_text(sequence.read_text().replace("duration_s: 0.3", "duration_s: 1.5"))
-    process = start(*words, home=home)
-    yield process
-    process.kill()
-    process.communicate()
+    with killed_at_end(start(*words, home=home)) as process:
+        yield process
 
 
 def states(folder):
@@ -53,8 +62,7 @@ def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
     folder = tmp_path / "run"
     question = '  - prompt: {text: "Is the cap off?", default: abort, timeout_s: 200}\n'
     words = quick_words(tmp_path, "[{name: left, pan_deg: -6}]", first=question, end="")
-    process = start(*words, home=home)
-    try:
+    with killed_at_end(start(*words, home=home)) as process:
         wait_for(process, folder, lambda line: line["event"] == "asked")
         status = json.loads(called("status", folder, "--json", home=home).stdout)
         assert status["question"] == "Is the cap off?"
@@ -66,6 +74,3 @@ def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
         assert (answered["answer"], answered["by"]) == ("continue", "ada")
         process.communicate(timeout=PATIENCE_S)
         assert [line["pose"] for line in journal(folder) if line["event"] == "capture_stored"] == [1]
-    finally:
-        process.kill()
-        process.communicate()

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -48,12 +48,8 @@ def test_a_station_s_devices_are_named_by_family_and_number(ports) -> None:
 
 
 def test_the_same_stage_by_another_port_is_refused_until_the_first_is_closed(ports) -> None:
-    first = opened(ports[0])
-    try:
-        with pytest.raises(PortBusy, match=r"Zaber 100101: .* another port"):
-            opened(ports[1])
-    finally:
-        first.close()
+    with closing(opened(ports[0])), pytest.raises(PortBusy, match=r"Zaber 100101: .* another port"):
+        opened(ports[1])
     opened(ports[1]).close()
 
 

@@ -4,8 +4,6 @@ import os
 import pty
 import signal
 import socket
-import subprocess
-import sys
 import termios
 import threading
 import time
@@ -18,6 +16,7 @@ from pathlib import Path
 import pytest
 import serial
 import serial.rfc2217
+from running import killed_at_end, start_python
 
 from drivers.clock import SystemClock
 from drivers.errors import PortBusy, PortDenied, PortLost, PortNotFound
@@ -86,8 +85,7 @@ def test_a_port_is_opened_once_only_in_one_process(plug, port) -> None:
 
 
 def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> None:
-    holder = subprocess.Popen([sys.executable, "-c", HOLD, str(plug.link)], stdout=subprocess.PIPE, text=True)
-    try:
+    with killed_at_end(start_python("-c", HOLD, plug.link)) as holder:
         assert holder.stdout.readline() == "held\n"
         with pytest.raises(PortBusy):
             SerialPort(str(plug.link), LineSettings(9600))
@@ -97,10 +95,6 @@ def test_a_second_process_is_refused_and_a_killed_one_leaves_no_lock(plug) -> No
         with pytest.raises(BlockingIOError):
             os.read(plug.ours, 1)
         SerialPort(str(plug.link), LineSettings(9600)).close()
-    finally:
-        holder.kill()
-        holder.wait()
-        holder.stdout.close()
 
 
 def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:

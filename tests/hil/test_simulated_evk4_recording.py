@@ -1,7 +1,7 @@
 """Recordings of the simulated EVK4, made by the driver over its socket."""
 
 import itertools
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 
 import numpy as np
@@ -27,20 +27,15 @@ def bench(light=FLICKER, settings=SETTINGS, clock=None):
     """A driver connected to a simulated camera under that light, with these settings."""
     world = World(truth_from_config({}), seed=1)
     world.set_light(light)
-    simulated = SimulatedEvk4(world, paced=False)
-    simulated.start()
-    try:
+    with closing(SimulatedEvk4(world, paced=False)) as simulated:
+        simulated.start()
         camera = SimulatedEvk4Camera.open(
             simulated.address, serial="00050423", clock=clock or SystemClock(), utc_now=lambda: NOW
         )
         camera.simulated = simulated
-        try:
+        with closing(camera):
             camera.apply(settings)
             yield camera
-        finally:
-            camera.close()
-    finally:
-        simulated.close()
 
 
 def test_the_lights_edges_arrive_as_triggers_a_half_period_apart(tmp_path):

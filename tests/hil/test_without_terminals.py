@@ -8,12 +8,21 @@ import json
 import os
 import subprocess
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
 from quick_runs import quick_words
-from running import PATIENCE_S, STARBENCH, environment, journal, python, results, start_python
+from running import (
+    PATIENCE_S,
+    STARBENCH,
+    environment,
+    journal,
+    killed_at_end,
+    python,
+    results,
+    start_python,
+    wait_for,
+)
 
 BARE = """
 import fcntl, os, select, signal, stat, subprocess, sys, types
@@ -82,13 +91,9 @@ def bare(tmp_path: Path) -> dict[str, str]:
 def test_a_file_is_locked_once_and_freed_by_the_death_of_its_process(bare, tmp_path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"")
-    holder = start_python("-c", LOCK, path, stdin=subprocess.PIPE, **bare)
-    try:
+    with killed_at_end(start_python("-c", LOCK, path, stdin=subprocess.PIPE, **bare)) as holder:
         assert holder.stdout.readline() == "held\n"
         assert "BlockingIOError" in python("-c", LOCK, path, status=1, **bare).stderr
-    finally:
-        holder.kill()
-        holder.communicate()
     assert python("-c", LOCK, path, **bare).stdout == "held\n"
 
 
@@ -117,11 +122,7 @@ def test_a_question_is_answered_at_a_terminal_that_select_does_not_take(bare, tm
     station.write_text(station.read_text().replace("ports: pty, ", ""))
     process = start_python(*STARBENCH[1:], *words, stdin=theirs, **bare)
     try:
-        deadline = time.monotonic() + PATIENCE_S
-        while not any(line["event"] == "asked" for line in journal(folder)):
-            assert process.poll() is None, process.communicate()[1]
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        wait_for(process, folder, lambda line: line["event"] == "asked")
         os.write(ours, b"a\n")
         assert "operator" in process.communicate(timeout=PATIENCE_S)[1]
         assert process.returncode == 3

@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
@@ -31,11 +33,8 @@ def with_status(
 
 def python(*words, status: int | None = 0, cwd: Path | None = None, **variables):
     """Run Python in a process of its own, with some variables more, which must end with a status."""
-    with start_python(*words, cwd=cwd, **variables) as process:
-        try:
-            outputs = process.communicate(timeout=PATIENCE_S)
-        finally:
-            process.kill()
+    with killed_at_end(start_python(*words, cwd=cwd, **variables)) as process:
+        outputs = process.communicate(timeout=PATIENCE_S)
     return with_status(subprocess.CompletedProcess(words, process.returncode, *outputs), status)
 
 
@@ -50,6 +49,16 @@ def start_python(*words, stdin=subprocess.DEVNULL, cwd: Path | None = None, **va
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+@contextmanager
+def killed_at_end(process: subprocess.Popen) -> Iterator[subprocess.Popen]:
+    """Kill a process with the block, and wait for its end."""
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def answer_of(process: subprocess.Popen[str], line: str) -> dict:

@@ -5,7 +5,7 @@ The families without terminals: test_stage_families.py, test_light_families.py.
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any, ClassVar
 
 import pytest
@@ -101,12 +101,9 @@ class TestSimulatedEvk4(CameraContract):
     def connected(self) -> Iterator[SimulatedEvk4]:
         world = World(SMALL, seed=1)
         world.set_light(FLICKER)
-        camera = SimulatedEvk4(world, paced=True)
-        camera.start()
-        try:
+        with closing(SimulatedEvk4(world, paced=True)) as camera:
+            camera.start()
             yield camera
-        finally:
-            camera.close()
 
 
 @pytest.mark.slow
@@ -121,9 +118,6 @@ class TestSimulatedFrameCamera(FrameCameraContract):
     def connected(self) -> Iterator[FrameCamera]:
         world = World(SMALL, seed=1)
         world.set_light(STEADY)
-        camera = FrameCamera(world)
-        camera.start()
-        try:
+        with closing(FrameCamera(world)) as camera:
+            camera.start()
             yield camera
-        finally:
-            camera.close()

@@ -1,13 +1,13 @@
 """What align measures from slices: figures of the signal, whole periods, and the process that does it."""
 
 import os
-import subprocess
-import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from running import python
 
 from bench.base import memory_folder
 from bench.base.errors import BenchError
@@ -37,8 +37,7 @@ SETTING = LiveSetting.of_station(load_station("simulated").value)
 
 def test_the_process_measures_survives_a_kill_and_ends(tmp_path, children):
     part = LiveSlice(tmp_path / "nothing.raw", 1.5)
-    meter = MeterProcess()
-    try:
+    with closing(MeterProcess()) as meter:
         jpeg, figures = meter.measure(part, SETTING)
         jpeg_here, here = LiveMeter().measure(part, SETTING)
         assert jpeg == jpeg_here
@@ -52,8 +51,6 @@ def test_the_process_measures_survives_a_kill_and_ends(tmp_path, children):
             meter.measure(part, SETTING)
         assert meter.measure(part, SETTING)[1].time_s == 1.5
         assert [child.pid == first for child in children] == [True, False]
-    finally:
-        meter.close()
     assert all(child.poll() is not None for child in children)
     began_s = time.monotonic()
     with pytest.raises(BenchError):
@@ -66,9 +63,7 @@ def test_the_process_measures_survives_a_kill_and_ends(tmp_path, children):
 
 def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(memory_folder, "MEMORY", tmp_path)
-    ended = subprocess.run(
-        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True, text=True
-    )
+    ended = python("-c", "import os; print(os.getpid())")
     left = tmp_path / f"starbench-align-{ended.stdout.strip()}-abc"
     living = tmp_path / f"starbench-align-{os.getppid()}-abc"
     other = tmp_path / "starbench-align-notes"

@@ -3,6 +3,7 @@
 import dataclasses
 import threading
 import time
+from contextlib import closing
 
 import pytest
 from align_fakes import fake_session
@@ -349,12 +350,10 @@ def test_a_changed_bias_is_shown_beside_that_of_the_station_file():
     devices.camera = ReadingCamera()
     session, _ = fake_session(devices)
     assert session.open() is None
-    try:
+    with closing(session):
         session.bench.camera.set("bias_fo", 7)
         shown = {bias["name"]: bias for bias in session.state()["camera"]["settings"]}
         assert (shown["bias_fo"]["value"], shown["bias_fo"]["expected"]) == (7, 0)
         assert (shown["bias_hpf"]["value"], shown["bias_hpf"]["expected"]) == (0, 0)
         assert session.bench.camera.row().value == "bias_fo is changed"
         assert session.state()["station_lines"] == ["camera.biases.bias_fo: 7"]
-    finally:
-        session.close()

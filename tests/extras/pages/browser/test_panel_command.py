@@ -4,13 +4,13 @@ import json
 import re
 import signal
 import subprocess
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import httpx
 import pytest
 from click.testing import CliRunner
-from running import STARBENCH, called, environment, start
+from running import STARBENCH, called, environment, killed_at_end, start, start_python
 from slow_cases import slow
 
 from bench.base.clock import BenchClock
@@ -30,12 +30,8 @@ def root(run):
 @contextmanager
 def panel(root, *words, home):
     """A panel under way, and the first line that it prints."""
-    process = start("panel", root, "--no-browser", *words, home=home)
-    try:
+    with killed_at_end(start("panel", root, "--no-browser", *words, home=home)) as process:
         yield process, process.stdout.readline().strip()
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
@@ -78,17 +74,9 @@ def test_other_computers_need_a_token_which_no_address_holds(root, tmp_path, mon
 
 @pytest.fixture
 def simulated(tmp_path):
-    process = subprocess.Popen(
-        [*STARBENCH, "simulate", "--seed", "3"],
-        env=environment(tmp_path),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    yield process
-    process.kill()
-    process.communicate()
+    words = (*STARBENCH[1:], "simulate", "--seed", "3")
+    with killed_at_end(start_python(*words, stdin=subprocess.PIPE, **environment(tmp_path))) as process:
+        yield process
 
 
 def test_it_prints_its_ports_obeys_orders_and_leaves_nothing_behind(simulated):
@@ -110,9 +98,8 @@ def test_it_prints_its_ports_obeys_orders_and_leaves_nothing_behind(simulated):
 @pytest.mark.slow
 def test_each_fault_of_the_cable_is_named():
     clock, station = BenchClock(), load_station("simulated").value
-    devices = Devices(station, seed=1, clock=clock, wire_log=None)
     faults_of = {}
-    try:
+    with closing(Devices(station, seed=1, clock=clock, wire_log=None)) as devices:
         for fault in (
             "",
             "no_sync",
@@ -127,8 +114,6 @@ def test_each_fault_of_the_cable_is_named():
             assert not devices.light.is_on()
             faults_of[fault.split(" ")[0]] = [named.name for named in report.faults]
             devices.simulation.order("light mend")
-    finally:
-        devices.close()
     assert faults_of == {
         "": [],
         "no_sync": ["trigger cable missing"],

@@ -1,6 +1,7 @@
 """A batch as its page shows it, and what the helper process calculates."""
 
 import json
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -102,14 +103,11 @@ def test_the_plan_is_forecast_as_a_whole_first():
 
 def test_a_killed_helper_is_started_again(tmp_path, children):
     request = ForecastRequest(MadeRun(tmp_path / "run").folder, 1)
-    helper = Helper()
-    try:
+    with closing(Helper()) as helper:
         assert helper.ask(request)
         children[0].kill()
         children[0].wait()
         assert "has ended" in helper.ask(request)
         assert "has ended" not in helper.ask(request)
         assert len(children) == 2
-    finally:
-        helper.close()
     assert helper.ask(request) == "The panel is ending."
