@@ -49,6 +49,15 @@ def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable
     assert scene.events()[: len(first)] == first  # nothing written is written over
 
 
+def test_a_run_that_its_holder_has_forgotten_is_aborted_after_eight_hours_in_the_dark(tmp_path, monkeypatch):
+    scene = with_runner(Scene(tmp_path, poses=THREE, end=END), monkeypatch)
+    scene.at("stage.home", 1, lambda: scene.runner.inbox.decide(Command(word="hold", by="ada"), "one"))
+    began = scene.clock.monotonic()
+    assert scene.run().how == "aborted"
+    assert 8.0 < (scene.clock.monotonic() - began) / 3600 < 8.1
+    assert not scene.light_is_on()
+
+
 def test_a_skipped_pose_is_left_out_and_the_results_say_who_asked(tmp_path, monkeypatch):
     scene = with_runner(Scene(tmp_path, poses=THREE, end=END), monkeypatch)
 
