@@ -22,6 +22,7 @@ from types import FrameType
 from typing import TypeVar
 
 from bench.base.background import done_at_once, in_background
+from bench.base.lost_output import errors_never_wait
 from drivers.lateness import LatenessData, own_lateness
 
 Result = TypeVar("Result")
@@ -246,7 +247,7 @@ def stop_on_signals(
         name = signal.Signals(number).name
         request_stop("stopped by Ctrl-C" if number == signal.SIGINT else f"{name} received")
 
-    with stopping_signals(ask):
+    with stopping_signals(ask), errors_never_wait():
         yield
 
 

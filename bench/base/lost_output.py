@@ -1,8 +1,7 @@
 """Output whose reader has gone (``starbench run ... | head -1``): what is written is dropped, the work goes on.
 
 The exit status then is that of the work. Without this the first line that nobody reads would end the program. Standard
-error tells how the work goes on: it never fails, and what nobody takes (Ctrl-S, a pager, a stalled connection) is
-dropped, so that no signal and no interlock waits for a reader.
+error, which tells how the work goes on, never fails.
 """
 
 from __future__ import annotations
@@ -12,7 +11,8 @@ import os
 import select
 import stat
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
 from bench.base.encoding import printable
@@ -29,7 +29,7 @@ class _Output(io.FileIO):
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "wb", closefd=False)
         self._is_error = descriptor == _STANDARD["stderr"]
-        self._descriptor = _without_waiting(descriptor) if self._is_error else descriptor
+        self.unwaiting: int | None = None  # In `errors_never_wait` the descriptor to write to
         self._is_stuck = False
 
     def write(self, data: Any) -> int:
@@ -48,10 +48,12 @@ class _Output(io.FileIO):
 
     def _write_some(self, data: memoryview) -> int:
         """Return how many bytes were written, or dropped because the reader has stopped."""
-        if self._descriptor != self.fileno() and not self._is_stuck:
-            select.select([], [self._descriptor], [], _PATIENCE_S)
+        if self.unwaiting is None:
+            return os.write(self.fileno(), data)
+        if not self._is_stuck:
+            select.select([], [self.unwaiting], [], _PATIENCE_S)
         try:
-            written = os.write(self._descriptor, data)
+            written = os.write(self.unwaiting, data)
         except BlockingIOError:
             self._is_stuck = True
             return len(data)
@@ -61,20 +63,37 @@ class _Output(io.FileIO):
     def _drop_the_rest(self) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())  # programs that this one starts inherit it
-        if self._descriptor != self.fileno():
-            os.dup2(nowhere, self._descriptor)
+        if self.unwaiting is not None:
+            os.dup2(nowhere, self.unwaiting)
         os.close(nowhere)
 
 
-def _without_waiting(descriptor: int) -> int:
-    """Return a descriptor of the same terminal or pipe at which no write waits; where there is none, the same one.
+@contextmanager
+def errors_never_wait() -> Iterator[None]:
+    """Drop what nobody takes of standard error (Ctrl-S, a pager, a stalled connection), instead of waiting.
 
-    It is opened anew: not to wait is a property that all programs of a terminal would share.
+    For work that signals and interlocks only ask to end: a write that waits would hear none of them. The terminal or
+    pipe is opened anew, because not to wait is a property that all programs of a terminal would share.
     """
+    raw = getattr(getattr(sys.stderr, "buffer", None), "raw", None)
+    opened = _opened_anew(raw.fileno()) if isinstance(raw, _Output) else None
+    if not isinstance(raw, _Output) or opened is None:
+        yield
+        return
+    raw.unwaiting = opened
+    try:
+        yield
+    finally:
+        raw.unwaiting = None
+        os.close(opened)
+
+
+def _opened_anew(descriptor: int) -> int | None:
+    """Return another descriptor of the same terminal or pipe, whose writes do not wait; None where there is none."""
     if sys.platform == "linux" and (stat.S_ISFIFO(os.fstat(descriptor).st_mode) or os.isatty(descriptor)):
         with suppress(OSError):  # another user's terminal, as under `su`
             return os.open(f"/proc/self/fd/{descriptor}", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
-    return descriptor
+    return None
 
 
 class _PlainText(io.TextIOWrapper):

@@ -189,10 +189,12 @@ def test_the_work_goes_on_after_the_readers_of_its_output_have_gone(both):
 
 STOPPED = """
 import sys
+from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.lost_output import protect_output
 protect_output()
-for number in range(3000):
-    print("state", number, "." * 60, file=sys.stderr, flush=True)
+with stop_on_signals(BenchClock().request_stop):
+    for number in range(3000):
+        print("state", number, "." * 60, file=sys.stderr, flush=True)
 print("ends", flush=True)
 """
 
