@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,24 @@ class DirectLight:
     def order(self, text: str) -> None:
         """Let something go wrong, as it is ordered on a bench."""
         order_fault("light", self.line, f"light {text}", {}, self.driver, self.lamp)
+
+
+class LightAlone:
+    """A simulated driver without ours, on a clock that the test advances, with all states that it gave the lamp."""
+
+    def __init__(self, make: Callable[..., Any], line_end: str) -> None:
+        self.now_s, self._line_end = 100.0, line_end
+        self.states: list[LightState] = []
+        self.device = make(lambda: self.now_s, self.states.append)
+
+    def say(self, *messages: str) -> str:
+        """Send messages and return all answers."""
+        lines = (f"{message}{self._line_end}".encode() for message in messages)
+        return "".join(self.device.receive(line).decode() for line in lines)
+
+    @property
+    def light(self) -> LightState:
+        return self.states[-1]
 
 
 MICROCONTROLLER = read_document(

@@ -3,28 +3,12 @@
 import pytest
 
 from simulators.lights.gardasoft import OVER_CURRENT, GardasoftRt
-from simulators.world.world import LightState
-
-
-class Strobe:
-    """The controller on a clock that the test advances, with all states that it gave the light."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-        self.lights: list[LightState] = []
-        self.device = GardasoftRt(lambda: self.now_s, self.lights.append)
-
-    def say(self, line: str) -> str:
-        return self.device.receive(f"{line}\r".encode()).decode()
-
-    @property
-    def light(self) -> LightState:
-        return self.lights[-1]
+from tests.hil.direct_lights import LightAlone
 
 
 @pytest.fixture
-def strobe() -> Strobe:
-    return Strobe()
+def strobe() -> LightAlone:
+    return LightAlone(GardasoftRt, "\r")
 
 
 @pytest.mark.parametrize(
@@ -48,11 +32,11 @@ def strobe() -> Strobe:
         ("TT1,500us;ST0", "TM 1, TP 0.500ms\r\n>"),
     ],
 )
-def test_a_line_is_answered_and_ends_in_its_prompt(strobe: Strobe, line: str, answer: str):
+def test_a_line_is_answered_and_ends_in_its_prompt(strobe: LightAlone, line: str, answer: str):
     assert strobe.say(line) == answer
 
 
-def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: Strobe):
+def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: LightAlone):
     strobe.say("RS1,40")
     assert (strobe.light.output, strobe.light.low, strobe.light.high) == (True, 0.4, 0.4)
     strobe.say("RT1,5,1,40")
@@ -64,7 +48,7 @@ def test_continuous_light_is_steady_and_pulses_need_the_trigger(strobe: Strobe):
     assert (strobe.light.output, strobe.light.sync) == (False, False)
 
 
-def test_a_protection_switches_off_and_is_reported_on_request(strobe: Strobe):
+def test_a_protection_switches_off_and_is_reported_on_request(strobe: LightAlone):
     strobe.say("RS1,100")
     strobe.device.trip(OVER_CURRENT)
     assert not strobe.light.output

@@ -1,32 +1,21 @@
 """The simulated function generator, line by line; test_wire_parity.py has it driven by an independent client."""
 
+from functools import partial
+
 import pytest
 
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
-from simulators.world.world import LightState
+from tests.hil.direct_lights import LightAlone
 
 
-class Generator:
-    """The generator on a clock that the test advances, with all states that it gave the light."""
-
-    def __init__(self, **model) -> None:
-        self.now_s = 100.0
-        self.lights: list[LightState] = []
-        self.dialect = ScpiGenerator(GeneratorModel(**model), lambda: self.now_s, self.lights.append)
-
-    def say(self, *messages: str) -> str:
-        """Send messages and return all answers."""
-        return "".join(self.dialect.receive(f"{message}\n".encode()).decode() for message in messages)
-
-    @property
-    def light(self) -> LightState:
-        return self.lights[-1]
+def made(**model) -> LightAlone:
+    return LightAlone(partial(ScpiGenerator, GeneratorModel(**model)), "\n")
 
 
 @pytest.fixture
-def generator() -> Generator:
-    return Generator()
+def generator() -> LightAlone:
+    return made()
 
 
 @pytest.mark.parametrize(
@@ -96,7 +85,7 @@ def test_an_open_lamp_sees_twice_the_voltage_shown_for_fifty_ohm(generator):
 
 # ---------------------------------------------------------------- other makes
 def test_a_make_with_numbered_channels_answers_on_and_off():
-    generator = Generator(numbered_channels=True, maker="RIGOL TECHNOLOGIES", name="DG4062")
+    generator = made(numbered_channels=True, maker="RIGOL TECHNOLOGIES", name="DG4062")
     generator.say(":SOUR1:FUNC SQU", ":SOUR1:FREQ 60", ":OUTPUT1:STATE ON", ":OUTP1:SYNC OFF")
     assert generator.say(":SOUR1:FREQ?") == "+6.0000000000000E+01\n"
     assert generator.say("OUTP1?;:OUTP1:SYNC?") == "ON;OFF\n"
@@ -107,10 +96,8 @@ def test_a_make_with_numbered_channels_answers_on_and_off():
 
 
 @pytest.fixture
-def siglent() -> Generator:
-    generator = Generator()
-    generator.dialect = SiglentGenerator("SDG1", lambda: generator.now_s, generator.lights.append)
-    return generator
+def siglent() -> LightAlone:
+    return LightAlone(partial(SiglentGenerator, "SDG1"), "\n")
 
 
 def test_a_siglent_sets_several_values_at_once_and_reports_all(siglent):
