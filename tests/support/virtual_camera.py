@@ -22,6 +22,8 @@ from simulators.world.gimbal import Gears
 from simulators.world.truth import Truth
 from simulators.world.world import FULL_DRIVE_V, LightState
 
+QUARTER = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
+"""A camera with a quarter of the pixels, and the field of view of the whole one."""
 _STEADY_LIGHT = LightState(output=True, low_v=FULL_DRIVE_V, high_v=FULL_DRIVE_V, frequency_hz=1000.0)
 _MOVING_SUBSAMPLES = 2
 

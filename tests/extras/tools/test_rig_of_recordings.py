@@ -7,16 +7,15 @@ import cv2
 import numpy as np
 import pytest
 from calling import out_of, refusal
-from virtual_camera import VirtualCamera
+from virtual_camera import QUARTER, VirtualCamera
 
 from calib.model.rotation import log_map
 from simulators.config import bench_config
 from simulators.optics.picture import true_rotation
 from simulators.pixels.evt3_writer import Evt3Writer
 
-CAMERA = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
 MOUNTS = {"left": {}, "right": {"turn_deg": [0.4, -0.6, 3.0]}}
-SECTIONS = {name: {"camera": CAMERA, "mount": mount, "noise": "clean"} for name, mount in MOUNTS.items()}
+SECTIONS = {name: {"camera": QUARTER, "mount": mount, "noise": "clean"} for name, mount in MOUNTS.items()}
 SEED = 3
 POSES = [{"pan": -5, "tilt": 2}, {"pan": 5, "tilt": 2}, {"pan": 0, "tilt": -3}]
 LIGHT_HZ, PERIODS = 240.0, 8
@@ -33,7 +32,7 @@ def record(camera, pose, number, path, clock):
     t = np.round(clock(capture.events.t - capture.first_edge_us + 5000.0)).astype(np.int64)
     first = int(min(t.min(), edges.min())) // 16 * 16 - 160
     order = np.argsort(t, kind="stable")
-    writer = Evt3Writer(first, width=CAMERA["width"], height=CAMERA["height"])
+    writer = Evt3Writer(first, width=QUARTER["width"], height=QUARTER["height"])
     words = writer.write(
         t[order], *(np.asarray(values)[order] for values in capture.events[1:]), until_us=int(t.max()) + 2000,
         trigger_t=edges, trigger_value=(np.arange(len(edges)) % 2 == 0).astype(np.uint8),

@@ -1,14 +1,13 @@
 """Dead columns and rows of a sensor move no star: those that they cross are left out, and the lines are told."""
 
 import numpy as np
-from virtual_camera import VirtualCamera
+from virtual_camera import QUARTER, VirtualCamera
 
 from bench.measure.measure import EventData, find_stars, whole_image, without_crossed
 from bench.solve.solution import silent_line_notes
 from calib.target import StarTarget
 from drivers.camera.event_arrays import Events, Triggers
 
-CAMERA = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
 COLUMNS, ROWS = (200, 300, 301, 302, 450), (90, 91)
 NO_EDGES = Triggers(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0, np.uint8))
 
@@ -22,7 +21,7 @@ def seen(events, size):
 
 
 def test_stars_beside_dead_lines_stay_where_they_are_and_the_lines_are_told():
-    taken = VirtualCamera({"camera": CAMERA}, 1).capture({"tilt": -3.0}, seed=3, light_hz=240.0, periods=4)
+    taken = VirtualCamera({"camera": QUARTER}, 1).capture({"tilt": -3.0}, seed=3, light_hz=240.0, periods=4)
     alive = ~np.isin(taken.events.x, COLUMNS) & ~np.isin(taken.events.y, ROWS)
     whole, healthy = seen(Events(*taken.events), taken.image_size)
     cut, facts = seen(Events(*(part[alive] for part in taken.events)), taken.image_size)

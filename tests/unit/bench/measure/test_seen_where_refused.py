@@ -2,17 +2,14 @@
 
 import numpy as np
 import pytest
-from virtual_camera import VirtualCamera
+from virtual_camera import QUARTER, VirtualCamera
 
 from bench.measure.measure import EventData, find_stars, whole_image, why_no_target
 from calib.errors import StarsUnnamed, TargetNotFound
 from calib.target import StarTarget
 from drivers.camera.event_arrays import Events, Triggers
 
-SENSORS = {
-    "720 rows": {},
-    "360 rows": {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180},
-}
+SENSORS = {"720 rows": {}, "360 rows": QUARTER}
 NO_EDGES = Triggers(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0, np.uint8))
 BEFORE, BESIDE = {"pan": -6.0, "tilt": 2.0}, {"pan": -14.5, "tilt": -2.0}
 

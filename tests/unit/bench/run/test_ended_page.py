@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import cv2
 import numpy as np
 import pytest
-from virtual_camera import VirtualCamera
+from virtual_camera import QUARTER, VirtualCamera
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import EvidenceError
@@ -74,8 +74,7 @@ def test_the_page_says_why_what_to_do_and_what_was_recorded(folder, key):
 
 
 def test_beside_the_refused_picture_stands_the_last_good_one_with_its_stars(folder, key, monkeypatch):
-    camera = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
-    lit = VirtualCamera({"camera": camera}, 1).picture({})
+    lit = VirtualCamera({"camera": QUARTER}, 1).picture({})
     with reopened(folder) as journal:
         tell(journal, 1, pose=2, accepted=True)
         tell(journal, 1, pose=3, accepted=False)
