@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from quick_runs import THREE, write_sequence, write_station
 from running import python
+from slow_cases import slow
 from station_texts import without
 
 ROOT = Path(__file__).parents[2]
@@ -117,12 +118,8 @@ def test_the_example_passes_the_contract_tests(installed) -> None:
     [
         ("raise RuntimeError('no library')", "RuntimeError: no library"),
         ("import sys; sys.exit(3)", "SystemExit: 3"),
-        pytest.param("", "has no attribute 'Section'", marks=pytest.mark.slow),
-        pytest.param(
-            SECTION.replace("NAME", "other"),
-            "its key driver must be Literal['epics_motor']",
-            marks=pytest.mark.slow,
-        ),
+        slow("", "has no attribute 'Section'"),
+        slow(SECTION.replace("NAME", "other"), "its key driver must be Literal['epics_motor']"),
         (SECTION.replace("NAME", "epics_motor"), "it does not implement open_device, ports"),
     ],
 )

@@ -5,6 +5,7 @@ from collections.abc import Sequence as List
 
 import pytest
 from flat import faults_of, read, steps_of
+from slow_cases import slow
 
 from sequences.flatten import MOST_STEPS, unfold
 from sequences.script import Flicker, Gates, LightStep, MoveStep, RecordStep, ReportStep, Step
@@ -141,21 +142,16 @@ def test_all_that_cannot_unfold_is_reported_at_once():
 
 
 @pytest.mark.parametrize(
-    "steps_text",
+    "repeated",
     [
-        pytest.param(
-            "{repeat: {times: 100000, steps: [{repeat: {times: 100000, steps: [{wait: {duration_s: 1}}]}}]}}",
-            marks=pytest.mark.slow,
-        ),
-        "{repeat: {times: 100000, steps: [{repeat: {times: 100000, steps: [move]}}]}}",
-        pytest.param(
-            "{repeat: {times: 100000, steps: [{repeat: {poses: none, steps: [move]}}]}}",
-            marks=pytest.mark.slow,
-        ),
+        "times: 100000, steps: [move]",
+        slow("times: 100000, steps: [{wait: {duration_s: 1}}]"),
+        slow("poses: none, steps: [move]"),
     ],
 )
-def test_a_script_that_unfolds_without_end_is_stopped(steps_text):
-    assert len(unfold(read(f"steps: [{steps_text}]\n"))[1]) == 1
+def test_a_script_that_unfolds_without_end_is_stopped(repeated):
+    text = f"steps: [{{repeat: {{times: 100000, steps: [{{repeat: {{{repeated}}}}}]}}}}]\n"
+    assert len(unfold(read(text))[1]) == 1
 
 
 def test_a_grid_that_unfolds_without_end_is_stopped():
