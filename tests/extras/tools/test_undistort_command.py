@@ -116,11 +116,9 @@ def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, cal
     _, folder = calibrated
     cv2.imwrite(str(folder / "small.png"), np.full((30, 40), 128, np.uint8))
     (folder / "events.csv").write_text("1 2 3 4\n")
-    (folder / "no.yaml").write_text("a: 1\n")
     faults = [
         (2, "This picture has 40 x 30 px, the camera 400 x 300 px", "info.yaml", "--preview", "small.png"),
         (2, "There is no picture in this file", "info.yaml", "--preview", "events.csv"),
-        (2, "does not hold a calibrated camera", "no.yaml"),
         (2, "2", "info.yaml", "--keep", "2"),
         (2, "400 x 300 px", "info.yaml", "--image-size", "640x480"),
     ]
