@@ -28,7 +28,7 @@ REFERENCE_MODELS = ("spherical", "planar")
 DEFAULT_DISTORTION = ("k1", "k2")
 #: The revision of each engine, raised when a value or an uncertainty changes, by its stars or its adjustment:
 #: `verify --again` confirms what another revision made only if the numbers agree.
-ENGINES = {"joint": 45, "reference": 3}
+ENGINES = {"joint": 46, "reference": 3}
 
 
 _ONLY_JOINT = {
@@ -60,8 +60,6 @@ class CalibrationOptions:
     huber_px
         Length at which the robust loss leaves the parabola, px; None for 2.5 times the robust standard deviation per
         axis of the residuals.
-    max_iterations
-        Largest number of steps of each refinement.
     passport
         Passport of the collimator; one view is then enough. A certificate states the radius alone.
     guard_band
@@ -91,7 +89,6 @@ class CalibrationOptions:
     distortion: str | Sequence[str] = DEFAULT_DISTORTION
     loss: LossName | None = None
     huber_px: float | None = None
-    max_iterations: int = 100
     passport: Passport | None = None
     guard_band: float = 1.0
     gimbal: GimbalReadings | None = None
@@ -118,8 +115,6 @@ class CalibrationOptions:
                 f"The passport is a {type(self.passport).__name__}.",
                 remedy="Make it: calib.Passport.of_radius(r_mm, sigma_mm), or read a file of it.",
             )
-        if not self.max_iterations >= 1:
-            raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")
         if not 0 < self.guard_band <= 1:
             raise InputMismatch(
                 f"guard_band is {self.guard_band}; it must be above 0 and at most 1 (share of the disc's radius)."

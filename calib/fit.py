@@ -130,7 +130,7 @@ def refine_robustly(
     name, loss = options.loss or "huber", Loss("l2")
     if name != "l2" and options.huber_px is not None:
         loss = Loss(name, options.huber_px * bundle.observations.sigmas_per_px)
-    refined = refine(bundle, start, loss, options.max_iterations)
+    refined = refine(bundle, start, loss)
     iterations = refined.iterations
     for _ in range(_LIMIT_ROUNDS if loss.name != name else 0):
         residuals = bundle.weighted_residuals(refined.parameters)
@@ -138,7 +138,7 @@ def refine_robustly(
         if not spread > 0:
             break
         loss = Loss(name, _LIMIT_SIGMAS * spread)
-        refined = refine(bundle, refined.parameters, loss, options.max_iterations)
+        refined = refine(bundle, refined.parameters, loss)
         iterations += refined.iterations
     return replace(refined, iterations=iterations), loss
 

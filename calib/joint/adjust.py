@@ -18,7 +18,7 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.effects.collimator import CENTRE
 from calib.joint.equations import State
-from calib.joint.evidence import value_as_weighed
+from calib.joint.evidence import odds_of, value_as_weighed
 from calib.joint.hypotheses import ANOTHER_THING
 from calib.joint.knowledge import ASPECT, CERTIFICATE, WRONG
 from calib.joint.marginal import Marginal, Problem
@@ -136,7 +136,7 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[Optimum]:
 
     for begin in _begins(task, start, begun):
         try:
-            ends.append(_square_or_stretched(begin.problem, begin.state, task.options.max_iterations))
+            ends.append(_square_or_stretched(begin.problem, begin.state))
         except (NotConverged, np.linalg.LinAlgError) as error:
             failed.append(error)
         else:
@@ -244,17 +244,22 @@ def _about_middle(task: Task, end: Optimum) -> list[Optimum]:
     shared = state.shared.copy()
     shared[at] = *middle, np.hypot(foot[2], beside)  # what lies in the middle stays as far away
     moved = bench.aligned(replace(state, shared=shared), end.marginal.equations.weights)
-    return [_square_or_stretched(*task.posed_at(moved, problem), task.options.max_iterations)]
+    return [_square_or_stretched(*task.posed_at(moved, problem))]
 
 
-def _square_or_stretched(problem: Problem, near: State, rounds: int) -> Optimum:
-    """Return the optimum near a state. Where none has square pixels, images may have been stretched."""
+def _square_or_stretched(problem: Problem, near: State) -> Optimum:
+    """Return the optimum near a state. Where pixels are oblong there, images may have been stretched."""
+    stretched = ((ASPECT, WRONG),)
+    if not _is_stretched(problem, near):
+        return search(problem, near)
     try:
-        return search(problem, near, rounds)
+        square = search(problem, near)
     except (NotConverged, np.linalg.LinAlgError):
-        if not _is_stretched(problem, near):
-            raise
-        return search_with_fault(problem, near, ((ASPECT, WRONG),), rounds)
+        return search_with_fault(problem, near, stretched)
+    with suppress(NotConverged, np.linalg.LinAlgError):
+        there = search_with_fault(problem, near, stretched, square.eta)
+        return there if odds_of(there, stretched, square) > 1.0 else square
+    return square
 
 
 def _is_stretched(problem: Problem, near: State) -> bool:
@@ -270,22 +275,21 @@ def _approached(problem: Problem, start: State, task: Task) -> State:
     fields would take up even twice the radius.
     """
     equations, knowledge = first_equations(problem, start), problem.knowledge
-    rounds = task.options.max_iterations
     others = tuple(statement for statement in knowledge.statements if statement.name != CERTIFICATE)
     problem = replace(problem, faults=_NEARLY_SQUARE)
     free = replace(problem, knowledge=replace(knowledge, statements=others))
     try:
-        near = approached(free, start, equations, rounds)
+        near = approached(free, start, equations)
         passport = task.options.passport
         if passport is not None and passport.is_certificate:
             stated_mm = passport.values_by_name["r"]
             if _is_far(free, near, stated_mm):
-                alone = search(free, near, rounds)
+                alone = search(free, near)
                 near = alone.state
-                if _is_far(free, near, stated_mm) and _is_denied(problem, start, alone, rounds):
-                    raise _DeniedError(alone)
+                if _is_far(free, near, stated_mm):
+                    near = _likelier(problem, start, alone)
     except (NotConverged, np.linalg.LinAlgError):
-        return approached(problem, start, equations, rounds)
+        return approached(problem, start, equations)
     return near
 
 
@@ -295,24 +299,32 @@ def _is_far(free: Problem, near: State, stated_mm: float) -> bool:
     return abs(stated_mm - seen_mm) > _OTHER_RADIUS * seen_mm
 
 
-def _is_denied(problem: Problem, start: State, alone: Optimum, rounds: int) -> bool:
-    """Tell whether the views are clearly less probable with the certificate, at the state where it is held to."""
+def _likelier(problem: Problem, start: State, alone: Optimum) -> State:
+    """Return the likelier end, held to the certificate or ``alone``: what views hardly determine can go far astray.
+
+    `_DeniedError` if the views are clearly less probable with the certificate.
+    """
     try:
-        near = approached(problem, start, first_equations(problem, start), rounds)
-        held = search(problem, near, rounds)
+        held = search(problem, approached(problem, start, first_equations(problem, start)))
     except (NotConverged, np.linalg.LinAlgError):
-        return True
-    return _is_less_probable(held, alone)
+        raise _DeniedError(alone) from None
+    if _is_less_probable(held, alone):
+        raise _DeniedError(alone)
+    return held.state if _loss(held, alone) < 0.0 else alone.state
+
+
+def _loss(held: Optimum, alone: Optimum) -> float:
+    """Return by how much -2 log of the likelihood is higher with the certificate."""
+    try:
+        return value_as_weighed(held, alone) - alone.at_best.solution.value
+    except np.linalg.LinAlgError:
+        return math.inf
 
 
 def _is_less_probable(held: Optimum, alone: Optimum) -> bool:
     """Tell whether the certificate is more probably another collimator's: all octaves of a radius are as probable."""
     radius_mm = float(alone.state.shared[alone.marginal.problem.bench.layout.index["r"]])
-    try:
-        less = value_as_weighed(held, alone) - alone.at_best.solution.value
-    except np.linalg.LinAlgError:
-        return True
-    return less > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
+    return _loss(held, alone) > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
 
 
 def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:
@@ -321,7 +333,7 @@ def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:
     stated_mm = float(task.options.passport.values_by_name["r"])
     layout = alone.marginal.problem.bench.layout
     again = partial(adjust, options=replace(task.options, passport=None), pupil=layout.bench.pupil)
-    shifted = find_shifted_ids(alone, task.views, task.options.max_iterations, again)
+    shifted = find_shifted_ids(alone, task.views, again)
     r_mm = float(alone.state.shared[layout.index["r"]])
     why = (
         cause_sentence(shifted)

@@ -83,7 +83,7 @@ def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterio
     better = [other for other in lenses if not options.compares_lenses and other.log_odds > best.log_odds]
     explanations += lenses if options.compares_lenses else []
     explanations += _moved_otherwise(max(explanations, key=_rank), views, options)
-    mixture = _mixture(explanations, options.max_iterations)
+    mixture = _mixture(explanations)
     return replace(mixture, better_lens=_family(better[0].optimum)) if better else mixture
 
 
@@ -92,18 +92,18 @@ def _rank(explanation: _Explanation) -> tuple[bool, float]:
     return explanation.optimum.converged, explanation.log_odds
 
 
-def _mixture(explanations: Sequence[_Explanation], rounds: int) -> Posterior:
+def _mixture(explanations: Sequence[_Explanation]) -> Posterior:
     """Return the mixture of explanations by their odds, about the most probable one."""
     first = max(explanations, key=_rank)
     log_odds = np.array([explanation.log_odds for explanation in explanations])
     shares = np.exp(log_odds - np.logaddexp.reduce(log_odds)).tolist()
     others = [
-        (posterior(other.modes, rounds, follow=False), share, hypothesis)
+        (posterior(other.modes, follow=False), share, hypothesis)
         for other, share in zip(explanations, shares, strict=True)
         if other is not first and other.optimum.converged and share > _LEAST
         if (hypothesis := other.hypothesis or first.hypothesis)  # the first differs as its rival does
     ]
-    return mixed(posterior(first.modes, rounds), others)
+    return mixed(posterior(first.modes), others)
 
 
 def _at_all_optima(views: Sequence[View], options: CalibrationOptions) -> list[_Explanation]:
@@ -201,7 +201,7 @@ def shifted_ids(optimum: Optimum, views: Sequence[View], options: CalibrationOpt
     pupil = optimum.marginal.problem.bench.layout.bench.pupil
     same = options if pupil is Pupil.HELD else _unbounded(options)
     again = partial(adjust, options=same, pupil=pupil, lens=_lens(optimum))
-    return find_shifted_ids(optimum, views, options.max_iterations, again)
+    return find_shifted_ids(optimum, views, again)
 
 
 def _unbounded(options: CalibrationOptions) -> CalibrationOptions:

@@ -166,12 +166,11 @@ class Posterior:
         ]
 
 
-def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
+def posterior(modes: Modes, *, follow: bool = True) -> Posterior:
     """Return the posterior by the modes about an optimum, or about the most probable faults if these lead far from it.
 
-    The equations at the state that such faults lead to say how much they count; the search of that state takes at most
-    ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false. The
-    equations of a fault's state say nothing of what is far away.
+    The equations at the state that such faults lead to say how much they count. They do not count if these equations
+    lead far away again, or if ``follow`` is false. The equations of a fault's state say nothing of what is far away.
     """
     optimum, nodes = modes.optimum, modes.nodes
     if optimum.fault_eta is not None and (held := [node for node in nodes if _holds(optimum, node)]):
@@ -186,7 +185,7 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     if not follow:
         return _mixture(modes, near)
     try:
-        there = optimum_with_faults(optimum, likeliest.faults, rounds)
+        there = optimum_with_faults(optimum, likeliest.faults)
         odds = odds_of(there, likeliest.faults, replace(optimum, solution=undoubted.solution))
     except (NotConverged, np.linalg.LinAlgError):  # without the statement nothing determines the camera
         return _mixture(modes, near)

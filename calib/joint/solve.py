@@ -25,6 +25,8 @@ from calib.joint.prior import Faults
 from calib.joint.stars import robust_sigma
 from calib.progress import in_round
 
+#: A search that has not ended after so many rounds is said not to have converged: most end within ten.
+ROUNDS = 100
 #: Stars begin as noisy as this share of their residuals there, but not better than stated.
 _FIRST_NOISE = 0.03
 #: Stars are weighed again in so many rounds with a short step, and then no more: a k-step M-estimator (Bickel, 1975).
@@ -93,14 +95,14 @@ class Optimum:
         return float(np.sqrt(1.0 + explained / (fields.size * self.solution.star_variance)))
 
 
-def search(problem: Problem, start: State, rounds: int, eta: Array | None = None) -> Optimum:
-    """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved.
+def search(problem: Problem, start: State, eta: Array | None = None) -> Optimum:
+    """Return the optimum after at most `ROUNDS` linearisations; `NotConverged` if the equations cannot be solved.
 
     The (A,) logarithms ``eta`` of the first amplitudes may be known.
     """
     eta, state = first_amplitudes(problem, start) if eta is None else eta, start
     equations, short_steps, pace = first_equations(problem, start), 0, _Pace(np.zeros(len(eta)))
-    for k in range(rounds):
+    for k in range(ROUNDS):
         in_round(k)
         marginal = Marginal(problem, equations, state)
         solution, pace = _in_round(k, solved(marginal, eta), pace)
@@ -119,7 +121,7 @@ def search(problem: Problem, start: State, rounds: int, eta: Array | None = None
         limit = max(spread, float(np.sqrt(solution.star_variance))) if k else 3.0 * spread
         before = equations if short_steps >= _REWEIGHTED else None
         equations = problem.bench.linearised(state, limit, before, is_near=short_steps > 0)
-    return Optimum(marginal.solve(eta), rounds, converged=False)
+    return Optimum(marginal.solve(eta), ROUNDS, converged=False)
 
 
 def _placed(solution: Solution, state: State, size: float) -> tuple[Problem, State, Array]:
@@ -167,10 +169,10 @@ def first_equations(problem: Problem, state: State, lengths: Array | None = None
     return problem.bench.linearised(state, 3.0 * spread)
 
 
-def approached(problem: Problem, start: State, equations: Equations, rounds: int) -> State:
-    """Return a state near the optimum: at most ``rounds`` steps at the first amplitudes, with wide robust limits."""
+def approached(problem: Problem, start: State, equations: Equations) -> State:
+    """Return a state near the optimum: at most `ROUNDS` steps at the first amplitudes, with wide robust limits."""
     state = start
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         solution = solved(Marginal(problem, equations, state), first_amplitudes(problem, state))
         before = state
         state, lengths = shortened(solution)
@@ -180,24 +182,22 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
     return state
 
 
-def optimum_with_faults(optimum: Optimum, faults: Faults, rounds: int) -> Optimum:
+def optimum_with_faults(optimum: Optimum, faults: Faults) -> Optimum:
     """Return an optimum whose equations are those of the state that some faults of statements lead to.
 
     A grossly wrong statement takes the state so far away that the equations do not hold where the others lead.
     """
     problem = optimum.marginal.problem
-    there = search_with_fault(problem, optimum.state, faults, rounds, optimum.eta)
+    there = search_with_fault(problem, optimum.state, faults, optimum.eta)
     return replace(there, iterations=optimum.iterations + there.iterations)
 
 
-def search_with_fault(
-    problem: Problem, start: State, faults: Faults, rounds: int, eta: Array | None = None
-) -> Optimum:
+def search_with_fault(problem: Problem, start: State, faults: Faults, eta: Array | None = None) -> Optimum:
     """Return the optimum without faults by the equations of the state that these lead to.
 
     The best amplitudes are searched from ``eta``, or from those with the faults.
     """
-    there = search(replace(problem, faults=faults), start, rounds)
+    there = search(replace(problem, faults=faults), start)
     placed = replace(there.marginal.problem, faults=problem.faults)  # a hand's pupils are elsewhere there
     marginal = Marginal(placed, there.marginal.equations, there.state)
     solution = searched(solved(marginal, there.eta if eta is None else eta))

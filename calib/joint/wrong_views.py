@@ -67,7 +67,6 @@ class _Ids:
     first: Optimum
     views: Sequence[View]
     pitch_mm: float
-    rounds: int
     again: Callable[[Sequence[View]], Optimum]
 
     def beside(self, best: _Shifted) -> list[_Shifted]:
@@ -106,7 +105,7 @@ class _Ids:
             pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(shifts_mm), 1))))
             bench = replace(bench, pupils=pupils.shown)
         start = bench.aligned(near.state, self.first.marginal.equations.weights)
-        return search(replace(problem, bench=bench, pupils=pupils), start, self.rounds, eta).at_best
+        return search(replace(problem, bench=bench, pupils=pupils), start, eta).at_best
 
     def holds(self, shifted: _Shifted) -> bool:
         """Tell whether shifted views that are adjusted anew gain as much: a pupil in a hand can imitate a shift.
@@ -134,7 +133,7 @@ def _worth(shifted: _Shifted) -> float:
 
 
 def find_shifted_ids(
-    optimum: Optimum, views: Sequence[View], rounds: int, again: Callable[[Sequence[View]], Optimum]
+    optimum: Optimum, views: Sequence[View], again: Callable[[Sequence[View]], Optimum]
 ) -> Cause | None:
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
@@ -144,7 +143,7 @@ def find_shifted_ids(
     pitch_mm = _lattice_pitch(views)
     if len(views) < 2 or pitch_mm is None:
         return None
-    ids = _Ids(optimum, views, pitch_mm, rounds, again)
+    ids = _Ids(optimum, views, pitch_mm, again)
     best = _Shifted(np.zeros((len(views), 2)), 0.0, optimum)
     every = [best]
     while more := ids.beside(best):

@@ -1,6 +1,6 @@
 """Lines that show how far a command is."""
 
-from bench.commands.workers import PartsLine
+from bench.commands.workers import CountLine, PartsLine
 
 
 class TimedLine(PartsLine):
@@ -37,3 +37,12 @@ def test_a_calculation_shows_how_long_it_takes_at_least():
         "3 views found; the camera is calculated, at least 0:16 left",
         "3 views found; the camera is calculated, at least 0:05 left",
     ]
+
+
+def test_what_is_done_is_counted_to_a_share_until_all_is_done(monkeypatch):
+    line, shown = CountLine(200, "MB read"), []
+    monkeypatch.setattr(line, "due", lambda: True)
+    monkeypatch.setattr(line, "show", shown.append)
+    for share in (0.1, 0.5, 1.0):
+        line.show_share(share)
+    assert [text.partition(",")[0] for text in shown] == ["20 of 200 MB read", "100 of 200 MB read"]

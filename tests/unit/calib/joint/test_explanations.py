@@ -30,7 +30,7 @@ def undecided():
     views, options = views_of(bench), options_for(bench, "0")
     first = adjust(views, options, Pupil.WALKS)
     second = adjust(views, options, Pupil.BY_HAND)
-    return posterior_of(views, options), [posterior(modes_of(way), 100) for way in (first, second)]
+    return posterior_of(views, options), [posterior(modes_of(way)) for way in (first, second)]
 
 
 def fx_of(mixture):

@@ -44,6 +44,6 @@ def chain(optimum):
 @pytest.mark.slow
 def test_the_uncertainty_is_that_of_a_markov_chain_over_the_amplitudes(optimum, chain):
     """At the best amplitudes alone it is a third smaller. 25 samples stand for sixty amplitudes: within a fifth."""
-    mixture, (steps, sigmas) = posterior(modes_of(optimum), 100), chain
+    mixture, (steps, sigmas) = posterior(modes_of(optimum)), chain
     by_chain = 2.0 * np.sqrt(steps.var() + (sigmas**2).mean())
     assert mixture.expanded(np.eye(len(mixture.mean))[0]) == pytest.approx(by_chain, rel=0.2)
