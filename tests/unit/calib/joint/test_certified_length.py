@@ -135,6 +135,6 @@ def test_the_other_length_counts_as_much_where_other_amplitudes_are_more_probabl
         nodes=[replace(first, weight=first.weight / 370.0), *map(moved, (first, *doubts))],
         scale=modes.scale + np.log(370.0),
     )
-    share = posterior(modes, 30).share_of((CERTIFICATE, FOCAL))
+    share = posterior(modes).share_of((CERTIFICATE, FOCAL))
     assert share > 0.1
-    assert posterior(better, 30).share_of((CERTIFICATE, FOCAL)) == pytest.approx(share, rel=0.05)
+    assert posterior(better).share_of((CERTIFICATE, FOCAL)) == pytest.approx(share, rel=0.05)

@@ -108,9 +108,9 @@ def test_search_of_amplitudes_ends_where_that_of_scipy_does(optimum):
 def test_at_the_state_of_a_fault_nothing_is_said_of_a_state_far_away(views):
     """Before, what is expected without the fault was extrapolated over 6 % of the radius, and could count for most."""
     certified = replace(KNOWN, passport=Passport.of_radius(240.0, 0.05, length="seen"))
-    there = optimum_with_faults(adjust(views, certified), ((CERTIFICATE, WRONG),), 30)
+    there = optimum_with_faults(adjust(views, certified), ((CERTIFICATE, WRONG),))
     assert abs(there.solution.step[there.marginal.problem.bench.layout.index["r"]]) > 10.0
-    result = posterior(modes_of(there), 30)
+    result = posterior(modes_of(there))
     at = there.marginal.problem.bench.layout.index["r"]
     assert np.abs(result.means[:, at] - 255.0).max() < 3.0
     assert result.faults[CERTIFICATE] == pytest.approx(1.0)
@@ -120,7 +120,7 @@ def test_at_the_state_of_a_fault_nothing_is_said_of_a_state_far_away(views):
     "name", first_quick([CERTIFICATE, "square pixels", "scale of pan", "pupil and defocus"], 2)
 )
 def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(optimum, name):
-    innovations = posterior(modes_of(optimum), 30).innovations()
+    innovations = posterior(modes_of(optimum)).innovations()
     innovation = next(candidate for candidate in innovations if candidate.name == name)
     marginal = optimum.marginal
     kept = tuple(
@@ -259,7 +259,7 @@ def test_a_pupil_before_the_pivot_moves_across_the_beam_as_the_camera_turns(benc
 
 
 def test_parts_of_the_budget_add_up_to_the_variance(optimum):
-    mixture = posterior(modes_of(optimum), 30)
+    mixture = posterior(modes_of(optimum))
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
     parts = variances(mixture, np.eye(len(mixture.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(mixture.covariance)[at], rel=1e-6)

@@ -56,7 +56,7 @@ def test_an_optimum_by_the_state_of_a_fault_has_the_places_of_that_state(optimum
     """With the places of the start, residuals were as large as these are far away."""
     problem, state = optimum.marginal.problem, optimum.state
     moved = replace(problem, bench=replace(problem.bench, pupils=problem.bench.pupils + 0.01))
-    there = search_with_fault(moved, state, ((ASPECT, WRONG),), 100)
+    there = search_with_fault(moved, state, ((ASPECT, WRONG),))
     assert there.converged
     assert there.marginal.problem.faults == problem.faults
     spread = np.median(there.marginal.problem.bench.whitened(there.state))
@@ -94,7 +94,7 @@ def test_places_elsewhere_come_back(optimum):
 
 
 def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
-    mixture = posterior(modes_of(optimum), 30)
+    mixture = posterior(modes_of(optimum))
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
     parts = variances(mixture, np.eye(len(mixture.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(mixture.covariance)[at], rel=1e-6)
