@@ -19,4 +19,5 @@ def import_events(path, choices=None):
             width=source.width,
             height=source.height,
             header=source.header,
+            truncated=source.truncated,
         )

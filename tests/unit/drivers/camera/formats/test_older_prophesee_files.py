@@ -89,6 +89,15 @@ def dat_head(version, kind=0x0C, size=True):
     return (lines + ("% Height 240\n% Width 304\n" if size else "")).encode() + bytes([kind, 8])
 
 
+@pytest.mark.parametrize("more", [0, 3])
+def test_a_dat_file_that_ends_within_an_event_is_told(tmp_path, more):
+    rows, path = some_events(50), tmp_path / "a.dat"
+    path.write_bytes(b"% made by hand\n" + dat_rows(rows) + bytes(more))
+    imported = import_events(path)
+    assert_same(imported, rows)
+    assert imported.truncated is (more > 0)
+
+
 @pytest.mark.parametrize("version", ["1", ""])
 def test_version_1_of_dat_has_another_layout(tmp_path, version):
     rows = some_events(600)
