@@ -90,8 +90,8 @@ def errors_never_wait() -> Iterator[None]:
 
 def _opened_anew(descriptor: int) -> int | None:
     """Return another descriptor of the same terminal or pipe, whose writes do not wait; None where there is none."""
-    if sys.platform == "linux" and (stat.S_ISFIFO(os.fstat(descriptor).st_mode) or os.isatty(descriptor)):
-        with suppress(OSError):  # another user's terminal, as under `su`
+    if hasattr(os, "O_NONBLOCK") and (stat.S_ISFIFO(os.fstat(descriptor).st_mode) or os.isatty(descriptor)):
+        with suppress(OSError):  # another user's terminal, as under `su`, or a system without such files
             return os.open(f"/proc/self/fd/{descriptor}", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
     return None
 

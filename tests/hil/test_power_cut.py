@@ -54,7 +54,7 @@ while True:
 
 @pytest.fixture
 def disk(tmp_path):
-    disk = Disk(tmp_path)
+    disk = Disk(tmp_path, megabytes=512)  # for what a fast computer writes in eight seconds
     yield disk
     disk.close()
 
