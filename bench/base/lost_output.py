@@ -29,7 +29,7 @@ class _Output(io.FileIO):
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "wb", closefd=False)
         self._is_error = descriptor == _STANDARD["stderr"]
-        self.unwaiting: int | None = None  # In `errors_never_wait` the descriptor to write to
+        self.nonblocking: int | None = None  # The descriptor to write to in `errors_never_wait`
         self._is_stuck = False
 
     def write(self, data: Any) -> int:
@@ -48,12 +48,12 @@ class _Output(io.FileIO):
 
     def _write_some(self, data: memoryview) -> int:
         """Return how many bytes were written, or dropped because the reader has stopped."""
-        if self.unwaiting is None:
+        if self.nonblocking is None:
             return os.write(self.fileno(), data)
         if not self._is_stuck:
-            select.select([], [self.unwaiting], [], _PATIENCE_S)
+            select.select([], [self.nonblocking], [], _PATIENCE_S)
         try:
-            written = os.write(self.unwaiting, data)
+            written = os.write(self.nonblocking, data)
         except BlockingIOError:
             self._is_stuck = True
             return len(data)
@@ -63,33 +63,34 @@ class _Output(io.FileIO):
     def _drop_the_rest(self) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())  # programs that this one starts inherit it
-        if self.unwaiting is not None:
-            os.dup2(nowhere, self.unwaiting)
+        if self.nonblocking is not None:
+            os.dup2(nowhere, self.nonblocking)
         os.close(nowhere)
 
 
 @contextmanager
 def errors_never_wait() -> Iterator[None]:
-    """Drop what nobody takes of standard error (Ctrl-S, a pager, a stalled connection), instead of waiting.
+    """Drop what nobody reads of standard error (Ctrl-S, a pager, a stalled connection), instead of waiting.
 
-    For work that signals and interlocks only ask to end: a write that waits would hear none of them. The terminal or
-    pipe is opened anew, because not to wait is a property that all programs of a terminal would share.
+    Work that a signal or an interlock asks to end does not see the request while a write waits.
     """
     raw = getattr(getattr(sys.stderr, "buffer", None), "raw", None)
-    opened = _opened_anew(raw.fileno()) if isinstance(raw, _Output) else None
-    if not isinstance(raw, _Output) or opened is None:
+    if not isinstance(raw, _Output) or (opened := _opened_again(raw.fileno())) is None:
         yield
         return
-    raw.unwaiting = opened
+    before, raw.nonblocking = raw.nonblocking, opened
     try:
         yield
     finally:
-        raw.unwaiting = None
+        raw.nonblocking = before
         os.close(opened)
 
 
-def _opened_anew(descriptor: int) -> int | None:
-    """Return another descriptor of the same terminal or pipe, whose writes do not wait; None where there is none."""
+def _opened_again(descriptor: int) -> int | None:
+    """Return a non-blocking descriptor of the same terminal or pipe; None if the system has none.
+
+    O_NONBLOCK on the first descriptor would hold for all other programs at that terminal, too.
+    """
     if hasattr(os, "O_NONBLOCK") and (stat.S_ISFIFO(os.fstat(descriptor).st_mode) or os.isatty(descriptor)):
         with suppress(OSError):  # another user's terminal, as under `su`, or a system without such files
             return os.open(f"/proc/self/fd/{descriptor}", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)

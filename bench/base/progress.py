@@ -153,14 +153,13 @@ def ask(
 
 
 def _in_foreground(source: TextIO) -> bool:
-    """Whether this process may read the terminal: the system suspends one in the background that tries (SIGTTIN)."""
+    """Whether this process may read the terminal. The system suspends a background job that reads it (SIGTTIN).
+
+    True also where the system has no jobs, and at a terminal of another session.
+    """
     try:
         return os.tcgetpgrp(source.fileno()) == os.getpgrp()
-    except (
-        AttributeError,
-        OSError,
-        ValueError,
-    ):  # a system without jobs, or not the terminal of this session
+    except (AttributeError, OSError, ValueError):
         return True
 
 

@@ -248,7 +248,7 @@ def _about_middle(task: Task, end: Optimum) -> list[Optimum]:
 
 
 def _square_or_stretched(problem: Problem, near: State) -> Optimum:
-    """Return the optimum near a state. Where pixels are oblong there, images may have been stretched."""
+    """Return the optimum near a state. If pixels are oblong there: the more probable of square and stretched ones."""
     stretched = ((ASPECT, WRONG),)
     if not _is_stretched(problem, near):
         return search(problem, near)
@@ -287,7 +287,7 @@ def _approached(problem: Problem, start: State, task: Task) -> State:
                 alone = search(free, near)
                 near = alone.state
                 if _is_far(free, near, stated_mm):
-                    near = _likelier(problem, start, alone)
+                    near = _more_probable_end(problem, start, alone)
     except (NotConverged, np.linalg.LinAlgError):
         return approached(problem, start, equations)
     return near
@@ -299,10 +299,11 @@ def _is_far(free: Problem, near: State, stated_mm: float) -> bool:
     return abs(stated_mm - seen_mm) > _OTHER_RADIUS * seen_mm
 
 
-def _likelier(problem: Problem, start: State, alone: Optimum) -> State:
-    """Return the likelier end, held to the certificate or ``alone``: what views hardly determine can go far astray.
+def _more_probable_end(problem: Problem, start: State, alone: Optimum) -> State:
+    """Return the more probable of two ends of a search: with the certificate, and ``alone``, without it.
 
-    `_DeniedError` if the views are clearly less probable with the certificate.
+    If the views hardly determine the radius, the search without it can end far from the camera. `_DeniedError` if the
+    views are clearly less probable with the certificate.
     """
     try:
         held = search(problem, approached(problem, start, first_equations(problem, start)))
@@ -310,10 +311,10 @@ def _likelier(problem: Problem, start: State, alone: Optimum) -> State:
         raise _DeniedError(alone) from None
     if _is_less_probable(held, alone):
         raise _DeniedError(alone)
-    return held.state if _loss(held, alone) < 0.0 else alone.state
+    return held.state if _less_probable_by(held, alone) < 0.0 else alone.state
 
 
-def _loss(held: Optimum, alone: Optimum) -> float:
+def _less_probable_by(held: Optimum, alone: Optimum) -> float:
     """Return by how much -2 log of the likelihood is higher with the certificate."""
     try:
         return value_as_weighed(held, alone) - alone.at_best.solution.value
@@ -324,7 +325,7 @@ def _loss(held: Optimum, alone: Optimum) -> float:
 def _is_less_probable(held: Optimum, alone: Optimum) -> bool:
     """Tell whether the certificate is more probably another collimator's: all octaves of a radius are as probable."""
     radius_mm = float(alone.state.shared[alone.marginal.problem.bench.layout.index["r"]])
-    return _loss(held, alone) > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
+    return _less_probable_by(held, alone) > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
 
 
 def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:

@@ -50,7 +50,7 @@ def left_out_rms(optimum: Optimum) -> float | None:
 
 
 def _predicted(optimum: Optimum, there: Bench, pose: int, step: Array) -> State:
-    """Return the state after a step (S,) of the shared unknowns, with what a left-out pose has for itself."""
+    """Return the state after a step (S,) of the shared unknowns; the left-out pose has no field of its own."""
     equations, state, layout = optimum.marginal.equations, optimum.state, there.layout
     step_of_basis = there.maps[pose] @ (state.shared + step) - equations.maps[pose] @ state.shared
     step_of_basis[layout.own.places] -= state.fields[pose]
@@ -71,7 +71,7 @@ def _predicted(optimum: Optimum, there: Bench, pose: int, step: Array) -> State:
 
 
 def _as_shown(problem: Problem) -> Bench:
-    """Return the bench whose pupils are where their discs show them, if the camera is moved by hand."""
+    """Return the bench with each pupil where its disc shows it, if the camera is moved by hand; else the bench."""
     return problem.bench if problem.pupils is None else replace(problem.bench, pupils=problem.pupils.shown)
 
 
