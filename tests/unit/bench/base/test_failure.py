@@ -11,6 +11,7 @@ from rehearsed import Scene
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.base.failure import FORESEEN, Failure
+from bench.base.progress import Progress
 from bench.commands.run import show_run
 from bench.record.device_end import DeviceEnd
 from bench.record.events import Event
@@ -111,6 +112,14 @@ def test_an_error_that_no_driver_foresees_leaves_no_other_device_on(tmp_path):
     (run_end,) = scene.data_of(Event.RUN_ENDED)
     states = {device["device"]: device["state"] for device in run_end["devices"]}
     assert states == {"stage": "not confirmed", "light": "confirmed safe", "camera": "confirmed safe"}
+
+
+def test_who_ends_the_process_while_devices_are_made_safe_is_told_to_check_the_bench(tmp_path, monkeypatch):
+    said = []
+    monkeypatch.setattr(Progress, "say", lambda _, text: said.append(text))
+    with pytest.raises(KeyboardInterrupt):
+        scene_with(tmp_path, {"stage.stop": KeyboardInterrupt()}).run()
+    assert said[-1].startswith("CHECK THE BENCH")
 
 
 def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
