@@ -26,7 +26,7 @@ from calib.errors import InputMismatch as InputMismatch  # noqa: PLC0414 - simul
 MOST_SQUARES = 200_000
 """Squares that a target may have at most: more than 50 times those of the published pattern."""
 MOST_SEGMENTS = 256
-"""Segments that a star may have at most."""
+"""Segments that a star may have at most: of more, no camera tells one from the next."""
 
 
 class TagFamily(NamedTuple):

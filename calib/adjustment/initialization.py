@@ -30,7 +30,8 @@ from calib.view import View
 
 #: Focal lengths tried last, as shares of the diagonal of the image: from a wide-angle lens to a telephoto lens.
 FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
-#: The comparison: all starts take a few steps on this number of stars per view; the best few take more steps.
+#: The comparison: all starts take a few steps on this number of stars per view; the best few take more steps. Fewer
+#: cost less time, and may miss the start that is best in the end.
 _COMPARISON_STARS = 40
 _FIRST_STEPS = 4
 _FINALISTS = 3
@@ -39,7 +40,7 @@ _FINAL_STEPS = 30
 _COMPARISON_TOLERANCE = 1e-6
 #: Radial distortion of a collimator from which a start is looked for, beside none; a single lens has up to 1.4.
 _DISTORTIONS = (0.0, 1.0, -1.0)
-#: It is taken if it lowers the cost to this share, and if it is no more than this.
+#: It is taken if it lowers the cost to this share, and if it is no more than this, twice that of a single lens.
 _FITS_BETTER, _LARGEST_DISTORTION = 0.5, 3.0
 #: Fewest points for a pose before a known camera, and their least spread across a line, as a share of that along it.
 _LEAST_POINTS, _IN_A_LINE = 6, 1e-6

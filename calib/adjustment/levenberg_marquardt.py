@@ -20,10 +20,11 @@ from calib.arrays import Array
 
 #: A predicted reduction below this share of the cost is far below the uncertainty of the parameters.
 RELATIVE_TOLERANCE = 1e-12
+#: Of points without any error, whose cost is 0.
 _ABSOLUTE_TOLERANCE = 1e-16
-#: Largest number of steps tried, unless told.
+#: Largest number of steps tried, unless told: it ends a search that goes on without an end.
 MAX_ITERATIONS = 100
-#: The search stops when the damping exceeds this.
+#: The search stops when the damping exceeds this: steps are then as small as rounding.
 _MAX_DAMPING = 1e12
 #: Focal length and radius lie along a curved valley, and a damped step follows its tangent only. Little damping needs
 #: fewer steps, and more starts reach the bottom.

@@ -16,6 +16,7 @@ Kind = Literal["checkerboard", "circles", "asymmetric-circles"]
 KINDS: tuple[Kind, ...] = ("checkerboard", "circles", "asymmetric-circles")
 
 _TEXT = re.compile(r"([a-z-]+):(\d{1,3})x(\d{1,3}):(\d+(?:\.\d+)?)(\w*)", re.IGNORECASE)
+#: Millimetres of the units that a person may write, for a message.
 _MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4}
 _FEWEST, _MOST = 3, 200  # Points along a side: less gives no homography; more is no print
 

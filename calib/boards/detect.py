@@ -34,7 +34,7 @@ from calib.view import View
 _BLUR_PX = 0.7
 #: Distance of the places at which symmetry is compared, px: first coarse, then fine.
 _STEPS_PX = (2.0, 1.0)
-#: A point may move by this share of the pitch from where OpenCV found it.
+#: A point may move by this share of the pitch from where OpenCV found it; the next point is a whole pitch away.
 _MOST_MOVE_PITCHES = 0.3
 #: Variance over that of white noise, typical for images smoothed by `_BLUR_PX`.
 _TYPICAL_FACTOR = 4.0
@@ -42,12 +42,14 @@ _TYPICAL_FACTOR = 4.0
 #: where the pixels lie relative to the edges, the screen, the readout. Without it, single points with little noise
 #: determine the camera: the errors of simulated calibrations from event images were then 1.3 times as large as stated.
 _COMMON_PX = 0.05
-#: A point further than this number of standard deviations from the smooth map of the others is refused.
+#: A point further than this number of standard deviations from the smooth map of the others, and further than this, px,
+#: is refused: a view of hardly any noise loses no point by the small errors of its map.
 _OUTLIER_SIGMAS = 6.0
 _OUTLIER_PX = 0.3
-#: Two steps from point to point differ by this share of the shorter one at most.
+#: Two steps from point to point differ by this share of the shorter one at most: perspective and lens change them
+#: slowly.
 _MOST_TURN = 0.5
-#: At least this share of the points must be located.
+#: At least this share of the points must be located: a reflection may hide some.
 _LEAST_SHARE = 0.9
 #: A smaller board than this number of corners is not named: noise looks like one now and then.
 _FEWEST_NAMED = 12

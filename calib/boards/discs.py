@@ -30,10 +30,13 @@ from calib.stars.grid_map import LocalMap
 _UNKNOWNS = 11
 #: First guesses of the width of the blur, px, and least and largest width.
 _WIDTH_PX, _NARROWEST_PX, _WIDEST_PX = 1.0, 0.4, 6.0
+#: At most: it ends when no centre moves farther than `LAST_STEP_PX`.
 _MAX_STEPS = 25
-#: Pixels within this number of pixels of the edge, and this share of the radius, are used.
+#: Pixels within this number of pixels of the edge, and this share of the radius, are used: others say nothing of the
+#: edge.
 _BAND_PX, _BAND_SHARE = 6.0, 0.3
-#: A step changes the radius by this share at most, and the centre by this number of pixels.
+#: A step changes the radius by this share at most, and the centre by this number of pixels: the model is linear no
+#: farther.
 _MOST_SHARE, _MOST_PX = 0.2, 1.5
 #: Circles fitted at the same time; more would need much memory.
 _AT_ONCE = 128
@@ -121,7 +124,10 @@ def _surroundings(image: Array32, guesses: Array, local_map: LocalMap, cell: flo
 
 
 def _places(at: Array, centres: Array, local_map: LocalMap) -> Array:
-    """Return where (N, P, 2) pixels lie on the board relative to the centres, (N, P, 2) pitches."""
+    """Return where (N, P, 2) pixels lie on the board relative to the centres, (N, P, 2) pitches.
+
+    Own iteration s <- A^-1 (q - c - B(s, s)) of the local map q = c + A s + B(s, s).
+    """
     inverse, b = np.linalg.inv(local_map.linear).swapaxes(1, 2), local_map.quadratic.swapaxes(1, 2)
     off = at - centres[:, None]
     s = off @ inverse
@@ -163,7 +169,10 @@ def _columns(pixels: _Pixels, disc: tuple[Array, Array, Array], local_map: Local
 
 
 def _gradient(s: Array, distance: Array, local_map: LocalMap) -> Array:
-    """Return the gradient in the image, (N, P, 2) pitches per px, of the distance from the centre on the board."""
+    """Return the gradient in the image, (N, P, 2) pitches per px, of the distance from the centre on the board.
+
+    Own derivation, by the chain rule: J^-T s / |s|, with J = dq/ds = A + dB(s, s)/ds of the local map.
+    """
     a, b = local_map.linear[:, None], local_map.quadratic[:, None]
     x, y = s[..., 0], s[..., 1]
     xx, xy = (a[..., i, 0] + 2 * b[..., i, 0] * x + b[..., i, 1] * y for i in (0, 1))

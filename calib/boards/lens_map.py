@@ -17,6 +17,7 @@ from calib.stars.grid_map import GridMap, fit_grid_map
 
 #: Radial terms: r^2, r^4 and r^6 of the distorted radius, in half diagonals of the image.
 _TERMS = 3
+#: More than enough: each step of Newton's method doubles the number of right digits.
 _NEWTON_STEPS = 12
 
 
@@ -58,7 +59,7 @@ def fit_lens_map(grid: Array, points: Array, image_size: tuple[int, int]) -> Len
 
 
 def _straight(at: Array, radial: Array) -> tuple[Array, Array]:
-    """Return ideal points of (N, 2) distorted ones, and their derivatives (N, 2, 2)."""
+    """Return ideal points p (1 + a r^2 + b r^4 + ...) of (N, 2) distorted ones p (Brown, 1971), and the derivatives."""
     square = (at * at).sum(axis=1)
     powers = square[:, None] ** np.arange(1, len(radial) + 1)
     factor = 1.0 + powers @ radial

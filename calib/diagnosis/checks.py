@@ -25,9 +25,10 @@ from calib.view import View
 SAME_PX = 1e-6
 #: Two recordings of one pose differ by sqrt(2) times the noise of one; below this share of it they are too much alike.
 _TOO_MUCH_ALIKE = 0.5
-#: Only pairs of views with a smaller rms distance of the common stars are compared, px.
+#: Only pairs of views with a smaller rms distance of the common stars are compared, px: other poses lie farther apart.
 _NEAR_PX = 1.0
-#: Views with fewer common stars are not compared, nor views of which less than this share is common.
+#: Views with fewer common stars are not compared, nor views of which less than `_COMMON_SHARE` is common: a few stars
+#: of different views may be near each other by chance.
 _FEWEST = 4
 #: Views that a sentence names, and pairs that have one of their own.
 _MOST_NAMED = 5
@@ -38,7 +39,7 @@ Size = tuple[int, int]
 _TARGET, _CERTIFICATE = "target positions", "lengths of the certificate"
 #: Millimetres in units that are taken for millimetres by mistake.
 _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
-#: Pitches and radii outside of these ranges are implausible, mm.
+#: Pitches and radii outside of these ranges are implausible, mm: those that were meant in metres or micrometres are.
 PLAUSIBLE_PITCH_MM = (0.05, 500.0)
 PLAUSIBLE_R_MM = (5.0, 50_000.0)  # From a lens as collimator to a mirror of an observatory
 #: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
@@ -55,9 +56,10 @@ KNOWN_SIZES: tuple[Size, ...] = (
 )  # fmt: skip
 #: Points that all lie within this are shares of the image: no target of four points is as small, px.
 _SHARES_PX = 2.0
-#: Places of one point of the target may differ by this share of a pitch, beside whole columns and rows.
+#: Places of one point of the target may differ by this share of a pitch, beside whole columns and rows: at a half, no
+#: whole number is the nearest.
 _SAME_PLACE = 0.4
-#: A principal point this share of the width or height away from the middle is implausible.
+#: A principal point this share of the width or height away from the middle is implausible: a lens is mounted better.
 _FAR_FROM_MIDDLE = 0.15
 #: A size explains the views if its middle is within this share of the principal point ...
 _NEAR_MIDDLE = 0.1

@@ -67,7 +67,10 @@ def _adjusted(views: Sequence[View], *, planar: bool) -> Refinement[AdjustmentPa
 
 
 def orbits(poses: AdjustmentParameters) -> bool:
-    """Tell whether, from view to view, the camera went round the board rather than turned where it was."""
+    """Tell whether, from view to view, the camera went round the board rather than turned where it was.
+
+    Own rule: its way is over half of distance times turn t, in the median pair; cos t = (trace(R S^T) - 1) / 2.
+    """
     first, second = np.triu_indices(len(poses.centres), 1)
     cosines = (np.einsum("nij,nij->n", poses.rotations[first], poses.rotations[second]) - 1.0) / 2.0
     ways = np.linalg.norm(poses.centres[first] - poses.centres[second], axis=1)

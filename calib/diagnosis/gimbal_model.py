@@ -37,6 +37,7 @@ _MAD = 1.4826
 
 #: A direction of the parameters is determined if its singular value exceeds this share of the largest.
 _DETERMINED = 1e-7
+#: At most: a search ends when a step gains nothing.
 _STEPS = 60
 #: Starts whose elements differ by less than this lead to the same minimum.
 _SAME = 1e-3

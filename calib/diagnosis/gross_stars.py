@@ -21,12 +21,12 @@ from calib.model.local_consistency import LIMIT_PX, local_sigma_px, local_spacin
 from calib.stars.grid_map import predict_locally
 from calib.view import View
 
-#: A view with a larger share of gross errors is refused.
+#: A view with a larger share of gross errors is refused: so many are no slips, and the others may be wrong, too.
 MAX_SHARE = 0.2
 #: Points up to this far outside of the outermost pixel centres are inside of the image, px: half a pixel, and another
 #: half for points whose origin is the corner.
 OUTSIDE_PX = 1.0
-#: One point outside of the image, or up to this share of all, is left out.
+#: One point outside of the image, or up to this share of all, is left out; more say that the stated size is wrong.
 _FEW_OUTSIDE = 0.002
 
 

@@ -33,11 +33,12 @@ from calib.one_thread import on_one_thread
 
 #: Parallax before a real collimator imitates a scale of this 1-sigma.
 PARALLAX = 0.005
-#: A scale with a larger 1-sigma is not determined.
+#: A scale with a larger 1-sigma is not determined: it could not even tell gon from degrees.
 _UNDETERMINED = 0.25
-#: 2 log of the odds of a camera that looks backwards, and so does not see the target; of other readings than stated.
+#: 2 log of the odds of a camera that looks backwards, and so does not see the target: as large as any evidence
+#: (`calib.model.cause.LARGEST_EVIDENCE`); of other readings than stated.
 _BACKWARDS, _OTHER = -100.0, 2.0 * math.log(ODDS)
-#: A camera looks backwards if the z component of its axis is below this.
+#: A camera looks backwards if the z component of its axis is below this, 120 degrees from forwards.
 _BACK = -0.5
 
 

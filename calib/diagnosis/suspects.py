@@ -18,7 +18,8 @@ from calib.model import cause as kinds
 #: Odds beforehand of a kind, over all places where it can be: 2 log of them is -10. A likelihood ratio that outweighs
 #: them is very strong (Kass and Raftery, 1995).
 ODDS = math.exp(-5.0)
-#: Poses that are needed to look for faults.
+#: Poses that are needed to look for faults: with four, the mounting, three scales and a suspect of three parameters
+#: leave nothing over.
 FEWEST = 5
 
 
@@ -69,6 +70,7 @@ def _of_target(frames: Frames, _: int) -> Array:
     return frames.target
 
 
+#: By kind: parameters, axes, course, and order of what turns the camera.
 _ROWS: Mapping[str, _Row] = {
     kinds.TURNED: _Row(3, _of_camera, "from a pose on", 0),
     kinds.ONE_POSE: _Row(3, _of_camera, "at a pose", 0),

@@ -39,6 +39,8 @@ _SMOOTH = (0.0, 1.0, 6.0, 36.0)
 _SHAPES = np.array([0.3, 0.3, 0.15, 0.15, 0.1])
 #: Scatters that are tried, from a share of the smallest stated one, and their number. None is as probable as all.
 _LEAST_SHARE, _LARGEST_RAD, _TRIED = 0.3, 0.2, 28
+#: Fits of a model, each with the scatter that the last one leaves; and suspects, or pairs of them, that are found at
+#: most.
 _ROUNDS = 3
 #: Least variance of a stated covariance, rad^2, and of a combination of rotations in units of the shape.
 _ROUNDING, _LEAST = 1e-15, 1e-20
@@ -46,7 +48,7 @@ _ROUNDING, _LEAST = 1e-15, 1e-20
 _SINGULAR = 1e-6
 #: Cosine of the angle between the target's normal and the axis of a holder, which leans by some degrees.
 _ALONG = 0.99
-#: Number of the most promising hypotheses that are fitted.
+#: Number of the most promising hypotheses that are fitted; it bounds the time.
 _FITTED = 4
 
 
@@ -87,7 +89,10 @@ class Explanation:
 
     @property
     def excess_rad(self) -> float:
-        """Scatter of each component of a rotation that the stated covariance does not explain, 1 sigma, rad, or 0."""
+        """Scatter of each component of a rotation that the stated covariance does not explain, 1 sigma, rad, or 0.
+
+        The root of s times the mean diagonal element of S = U^-T U^-1.
+        """
         if not self.scattered:
             return 0.0
         root = np.linalg.inv(self.scatter.basis.T)
@@ -159,7 +164,11 @@ class SeenRotations:
         return Explanation(fit, scatter, scatters, float(self.likelihoods(fit, [model.suspects])[0]))
 
     def _grid(self, fit: GimbalFit, hypotheses: Sequence[tuple[Suspect, ...]]) -> Array:
-        """Return (R, K, H) log(likelihood times prior) of each hypothesis, for each shape S and variance s."""
+        """Return (R, K, H) log(likelihood times prior) of each hypothesis, for each shape S and variance s.
+
+        Without suspects, 2 log = -log det(C + s S) - log det N - (squares that are left), with the information N of
+        mounting, standing and scales, which are integrated out (Bishop, 2006, section 3.5); `_gains` adds the suspects.
+        """
         every = list(dict.fromkeys(suspect for hypothesis in hypotheses for suspect in hypothesis))
         count = len(fit.model.free)
         turns, singular, _ = np.linalg.svd(fit.jacobian[:, :6], full_matrices=False)
@@ -188,7 +197,11 @@ class SeenRotations:
 
 
 def _gains(rest: Array, hypotheses: Sequence[Sequence[int]]) -> Array:
-    """Return (K, H) gains of 2 log(likelihood) by columns, of (K, m, m) their products; the residual is the last."""
+    """Return (K, H) gains of 2 log(likelihood) by columns, of (K, m, m) their products; the residual is the last.
+
+    Own use of Laplace's method at the least-squares sizes x, in units of their Cauchy prior: with the normal equations
+    N x = b, the gain is b.x - 2 sum log(1 + x^2) - log det(N + 1), which is 0 without information.
+    """
     gains = np.zeros((len(rest), len(hypotheses)))
     for size in {len(hypothesis) for hypothesis in hypotheses} - {0}:
         which = [k for k, hypothesis in enumerate(hypotheses) if len(hypothesis) == size]

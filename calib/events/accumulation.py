@@ -22,9 +22,9 @@ from calib.events.flicker import Flicker, folded_rates
 Grey = TypeVar("Grey", Array32, Bytes)
 #: Share of a period that a window may lack and still count as whole: 33 ms at 60 Hz are two periods less 1 %.
 PERIOD_TOLERANCE = 0.03
-#: Number of bins of the folded rate.
+#: Number of bins of the folded rate: 33 us each at 60 Hz.
 FOLD_BINS = 512
-#: Share of a burst's events that lie in its window.
+#: Share of a burst's events that lie in its window: a longer one would gather noise for a few late events.
 BURST_SHARE = 0.98
 #: Types of the fields of `PixelSums`.
 _KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)
@@ -226,7 +226,10 @@ def _add_events(
 
 
 def hot_pixels(on_count: NDArray[np.uint32], off_count: NDArray[np.uint32], allowed: int) -> Bools:
-    """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each."""
+    """Find the pixels with more than 2.5 m + ``allowed`` events, with the median m of the 5 x 5 pixels around each.
+
+    Own rule: neighbours of one brightness differ by less than the factor, and few events say nothing of it.
+    """
     count = on_count + off_count
     around = cv2.medianBlur(np.minimum(count, 65535).astype(np.uint16), 5)
     return np.asarray(count > 2.5 * around + allowed)

@@ -7,7 +7,8 @@ import numpy as np
 from calib.arrays import AnyArray, Bytes
 from calib.errors import InputMismatch
 
-#: Share of the pixels that may be clipped at each end of the grey scale.
+#: Share of the pixels that may be clipped at each end of the grey scale, so that hot pixels do not take the range of
+#: grey.
 CLIPPED_SHARE = 0.005
 
 

@@ -36,6 +36,7 @@ from calib.events.accumulation import require_inside
 DEFAULT_CUTOFF_HZ = 10.0
 """Cutoff frequency of the filter, Hz: pixels forget with a time constant of 16 ms."""
 CUTOFF_RANGE_HZ = (0.01, 1000.0)
+"""Time constants of 16 s to 0.16 ms: a longer one forgets nothing, a shorter one keeps nothing."""
 FORGOTTEN = 0.01
 """Later events are used up to the time at which their weight falls to this."""
 _LEAST_ACTIVE = 0.002  # Share of the pixels
@@ -133,7 +134,11 @@ def reconstruct(
 
 
 def _picture(at_us: float, past: Array, later: Array) -> ReconstructedPicture:
-    """Return a picture from the sums before and after its time."""
+    """Return a picture from the sums before and after its time: (L + B) / 2 of the head.
+
+    Own estimate of the unknown contrasts: that of OFF events, over that of ON events, is the number of ON events over
+    that of OFF events, because a scene that comes and goes leaves no brightness behind.
+    """
     total = np.asarray((past + later).sum(axis=0), np.float32)
     active = float(np.mean(total > FORGOTTEN))
     off, on = past - later

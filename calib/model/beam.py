@@ -22,7 +22,7 @@ from calib.view import RimPoints, View
 _FEWEST_POINTS = 3
 #: Stars farther than this from the grid's nodes, in pitches, are not on a grid.
 _OFF_GRID = 0.1
-#: A star closer than this to the frame's border, in pitches, may be missing for that reason.
+#: A star closer than this to the frame's border, in pitches, may be missing for that reason: it needs its whole cell.
 _BORDER_PITCHES = 1.0
 #: The rim lies anywhere between two nodes: 1-sigma, in pitches.
 _SIGMA = 12.0**-0.5
@@ -136,7 +136,8 @@ def _rim(view: View, grid: _Grid, not_printed: Bools) -> RimPoints:
 def _dark(state: Ints) -> Bools:
     """Tell which nodes may lie beyond the rim: they are in a block without a star that is too large for missed stars.
 
-    Dark nodes between four stars show how many stars are missed. If there are none, all nodes may lie beyond the rim.
+    Dark nodes between four stars show which share m of the stars is missed. If there are none, all nodes may lie beyond
+    the rim. Own rule: k nodes together are beyond the rim if m^k times the number of nodes is below `_BY_CHANCE`.
     """
     amid = (_around(state) == _PRESENT).all(axis=0) & (state >= _ABSENT)
     missed = float((state[amid] == _ABSENT).sum()) / (amid.sum() + 1.0)

@@ -17,6 +17,7 @@ from calib.arrays import Array
 from calib.model.collimator import Collimator
 from calib.model.rotation import nearest_rotation, skew
 
+#: The six different entries of a symmetric matrix.
 _UPPER = np.triu_indices(3)
 #: Entries of K K^T that may be unknown; (2, 2) is 1.
 _IMAGE = ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1))

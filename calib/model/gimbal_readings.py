@@ -120,6 +120,8 @@ class GimbalReadings:
 def alike_errors(angles_deg: Array) -> Array:
     """Return (k, n, n) how the errors that n readings of k axes share with their neighbours are correlated.
 
+    Own choice of a Gaussian: exp(-(angle between them / `ALIKE_DEG`)^2 / 2).
+
     A reading without a neighbour has a row of zeros: all of its error is its own. So has one whose neighbours only
     repeat its pose.
     """

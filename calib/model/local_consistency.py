@@ -27,20 +27,23 @@ _NEIGHBOURS = 14
 #: On a lattice, so many more neighbours may be as far as the last one; of equals, the first ones count.
 _EQUALLY_FAR = 8
 #: Neighbours that differ by more than this share of their distance do not belong to one patch. Stars are compared with
-#: neighbours within `_BESIDE` times the spacing of the stars.
+#: neighbours within `_BESIDE` times the spacing of the stars: those at the corners of a square lie 1.41 away, the next
+#: 2.
 _PATCH_SHARE = 0.5
 _BESIDE = 1.5
 #: If fewer than this share of the pairs of neighbours agree, the view has no order that patches could show.
 _ORDERED_SHARE = 0.4
+#: Reweightings of a local fit; and tests of the stars at most: they end when none changes.
 _ROUNDS = 6
 #: The least limit is larger by this factor times the mean offset of the neighbours, in spacings of the stars.
 _RIM_FACTOR = 4.0
-#: If more than this share of the stars is suspicious, all stars are tested.
+#: If more than this share of the stars is suspicious, all stars are tested: the plain fits are then spoilt.
 _MANY = 0.25
 #: The noise of the best stars is this quantile of the stated ones.
 _BEST_STARS = 0.1
-#: A prediction needs this number of trusted neighbours.
+#: A prediction needs this number of trusted neighbours: as many as an affine map has unknowns along an axis.
 _FEWEST = 3
+#: Least spread of neighbours: points without errors have none.
 _ROUNDING_PX = 1e-6
 #: Cut of the biweight in robust standard deviations: the usual value, 4.685, times the root of the two components.
 _CUT = 6.6

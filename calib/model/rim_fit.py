@@ -453,7 +453,10 @@ def _wander(log_likelihood: Array, shares: Array) -> float:
 
 
 def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Return (..., P) means and (..., P, P) covariances of a mixture, from those of its parts, by their first axis."""
+    """Return (..., P) means and (..., P, P) covariances of a mixture, from those of its parts, by their first axis.
+
+    Law of total covariance: the mean of the covariances, plus the covariance of the means.
+    """
     mean = np.tensordot(weights, means, axes=1)
     off = means - mean
     within = np.tensordot(weights, covariances, axes=1)
@@ -461,7 +464,11 @@ def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Arr
 
 
 def _own_sigmas(information: Array, radius_scatters: Array, weights: Array, reach_mm: float) -> Array:
-    """Return the (V,) sigmas, mm, of centres by each view alone, from (G,) radius scatters and their weights."""
+    """Return the (V,) sigmas, mm, of centres by each view alone, from (G,) radius scatters and their weights.
+
+    Own: the larger variance of the centre in (J + L)^-1, with the information J of the view and the loose priors L of a
+    circle; its mean over the scatters.
+    """
     loose = np.full(UNKNOWNS, (_SHAPE_SCATTERS[0] * reach_mm) ** -2.0)
     loose[:2] = (2.0 * reach_mm) ** -2.0
     variance = np.zeros(len(information))

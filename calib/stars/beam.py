@@ -22,15 +22,19 @@ from calib.arrays import AnyArray, Array, Array32, Bytes
 
 #: Long side of the reduced image, cells, and side of the square that closes the print's gaps, as a share of it.
 REDUCED, CLOSING = 192, 0.06
-#: Brightness from which a cell is lit, as a share of the brightness of white print.
+#: Brightness from which a cell is lit, as a share of the brightness of white print: the light of a lamp is uneven, and
+#: dark print is closed before.
 LIT = 0.35
-#: Least share of the frame that is lit, and least length of the rim, cells.
+#: Least share of the frame that is lit, and least length of the rim, cells: a speck is no beam, and a circle has three
+#: unknowns.
 MIN_LIT, MIN_RIM = 0.002, 12
 #: Least share of the frame that is dark for a circle. Closing the print's gaps rounds smaller dark corners off.
 MIN_DARK = 0.04
-#: Largest rms distance of the rim from its circle, as a share of the radius, and largest radius, frame diagonals.
+#: Largest rms distance of the rim from its circle, as a share of the radius: a real rim is ragged. Largest radius,
+#: frame diagonals: of a larger circle, the frame shows a straight line.
 MAX_OFF, MAX_RADIUS = 0.1, 4.0
-#: Shortest arc, degrees, that shows a circle whose radius is not known.
+#: Shortest arc, degrees, that shows a circle whose radius is not known: of a shorter one, the circle may be off by
+#: radii.
 MIN_ARC_DEG = 50.0
 
 

@@ -21,23 +21,28 @@ from calib.stars.tag import TagDetection, find_tag
 from calib.stars.template import values_at
 from calib.target import StarTarget
 
-#: Largest share of the visible modules of a tag that may be wrong.
+#: Largest share of the visible modules of a tag that may be wrong: less than half of the 11 of 64 in which tags of the
+#: family 36h11 differ.
 MAX_WRONG_MODULES = 0.08
-#: Least share of the modules inside the tag's border that must be visible.
+#: Least share of the modules inside the tag's border that must be visible: fewer agree with several labellings.
 MIN_INNER_SHARE = 1 / 3
-#: Least difference between the best labelling and any other, in the share of right modules.
+#: Least difference between the best labelling and any other, in the share of right modules. A larger one refuses more
+#: poses; a smaller one risks a wrong name, which is worse.
 MIN_MARGIN = 0.15
-#: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches.
+#: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches: at a half,
+#: two labellings fit equally well.
 MAX_OFF_NODE, MAX_SCATTER = 0.3, 0.35
 _QUARTER_TURNS = [np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarter) for quarter in range(4)]
-#: Least number of stars of a view.
+#: Least number of stars of a view: three times as many as a homography needs.
 MIN_STARS = 12
-#: Largest share of the stars found without the tag that may lie where none is printed.
+#: Largest share of the stars found without the tag that may lie where none is printed: a right labelling has hardly
+#: any.
 MAX_STRAY = 0.02
 #: Share of an image without light, or of the light without stars, from which on it is told: in the poses that a
 #: sequence needs, it is up to a quarter.
 HALF = 0.5
-#: Least distance of a corner of the tag from the image, px, by a homography, for the tag to be cut.
+#: Least distance of a corner of the tag from the image, px, by a homography, for the tag to be cut. The homography
+#: leaves out distortion, which is a few pixels.
 CUT_PX = 10.0
 
 NamedBy = Literal["tag", "part of the tag", "expected pose"]

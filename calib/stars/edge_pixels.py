@@ -18,10 +18,10 @@ from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import OVERSAMPLING, EdgeMap, cell_reach
 
-#: Width of the bins of tau, px.
+#: Width of the bins of tau, px: finer than the narrowest smoothing (`calib.stars.likelihood.BANDWIDTHS_PX`).
 TAU_BIN_PX = 0.03
 _BINS_PER_PX = 1.0 / TAU_BIN_PX
-#: Largest number of levels of brightness.
+#: Largest number of levels of brightness: six steps of bisection (`_levels_of`). More need more pixels for each level.
 LEVELS = 64
 #: Number of unknowns of a star: shift of its centre x, y; shift of the threshold; slope of the threshold x, y.
 EDGE_UNKNOWNS = 5

@@ -33,15 +33,17 @@ from calib.target import StarTarget
 #: Blur circles that are tried, px, and enlargements of the tag: bright light makes black print look smaller.
 CIRCLES_PX: Final = (0.0, 2.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 23.0, 26.0, 30.0)
 ENLARGED: Final = (1.0, 1.02, 1.04, 1.06, 1.08)
-#: Samples of the print a pitch, and half the side of the part around the tag that is compared, pitches.
+#: Samples of the print a pitch; half the side of the print that is blurred, and of the part of it that is compared,
+#: pitches: the tag and a ring of stars. What the transform wraps around stays in the margin between the two.
 PER_PITCH, HALF_SIDE, COMPARED = 24, 4.5, 3.2
-#: Number of samples of the image along a side, and number of groups of equal size by expected brightness.
+#: Number of samples of the image along a side, and number of groups of equal size by expected brightness: some 500
+#: samples in each, so that their means have little noise.
 ALONG, GROUPS = 110, 24
-#: Blur that lens and pixel have in focus, px.
+#: Blur that lens and pixel have in focus, px: that of the simulated camera.
 IN_FOCUS_PX = 0.7
 #: Least share of the image's variance that the blurred print explains.
 MIN_EXPLAINED = 0.3
-#: Least number of stars whose edges give a width.
+#: Least number of stars whose edges give a width: that of fewer jumps from picture to picture.
 MIN_STARS_FOR_WIDTH = 6
 
 

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from calib.arrays import Array, Bools
 from calib.model.homography import apply_homography, fit_homography
 
-#: Number of neighbours that predict a star.
+#: Number of neighbours that predict a star: twice as many as the local polynomial has terms.
 NEIGHBOURS = 12
 #: Ridge of the local polynomials for 1, x, y, x^2, x y, y^2. It keeps them flat if all neighbours lie on one side or
 #: on a line.
 RIDGE = (0.0, 0.5, 0.5, 8.0, 8.0, 8.0)
-#: Least number of stars for a polynomial of each degree over a view.
+#: Least number of stars for a polynomial of each degree over a view: three or more for each of its terms.
 STARS_FOR_DEGREE = {2: 20, 3: 40, 4: 80, 5: 160}
-#: Largest residual of a star that takes part in the fit of a view, in robust standard deviations.
+#: Largest residual of a star that takes part in the fit of a view, in robust standard deviations: chance alone exceeds
+#: it 4 times in a million.
 OUTLIER_SIGMAS = 5.0
 _STEP_PITCHES = 0.05  # Of central differences: the map bends little over it, and rounding does not matter yet
 

@@ -30,17 +30,18 @@ from calib.stars.tag import TagDetection
 from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, correlations, values_at
 from calib.target import StarTarget
 
-#: Least correlation with its pattern of a star during growth.
+#: Least correlation with its pattern of a star during growth, whose place is a whole pixel.
 MIN_CORRELATION = 0.45
 #: Radius of the search around a predicted star, pitches: for the first stars, and next to stars already found.
 FIRST_REACH, REACH = 0.15, 0.08
-#: Least distance of neighbouring stars, px.
+#: Least distance of neighbouring stars, px: the outer ends of 16 segments are then 2 px wide.
 MIN_PITCH_PX = 10.0
 #: How often the pattern of a star is learnt from the first nodes, each time at places that are nearer to the stars.
 LEARNING_ROUNDS = 3
 #: How often a node is searched, each time with more neighbours that predict it.
 MAX_TRIES = 3
-#: Least number of points for a homography; from half of it on, an affine map is fitted.
+#: Least number of points for a homography: the noise of fewer would bend it. From half of it on, an affine map is
+#: fitted.
 PERSPECTIVE_FROM = 16
 _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
@@ -48,22 +49,24 @@ _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 PITCHES_PX = tuple(18.0 * 1.3**k for k in range(7))
 #: The image is reduced until a pitch has this length, px.
 SMALL_PITCH_PX = 18.0
-#: Inner and outer radius of the ring of the response, pitches.
+#: Inner and outer radius of the ring of the response, pitches: further inside segments merge, further outside is the
+#: next cell.
 RING = (0.22, 0.46)
-#: Least response of a candidate, 0 to 1, and largest number of candidates.
+#: Least response of a candidate, 0 to 1, and largest number of candidates, which bounds the time.
 MIN_RESPONSE, MAX_CANDIDATES = 0.35, 400
-#: Least response of a candidate that is tried first, as a share of the largest response.
+#: Least response of a candidate that is tried first, as a share of the largest response: corners of cells respond less.
 STRONG = 0.75
 #: The search over pitches ends if a pitch has less than the share `PAST` of the best pitch's total response, and that
 #: is more than the share `MIN_SHARE` of the image's area.
 PAST, MIN_SHARE = 0.5, 0.05
-#: Largest distance of a neighbour from the corner of a square, pitches.
+#: Largest distance of a neighbour from the corner of a square, pitches: the cells of a tilted target are no squares.
 SQUARENESS = 0.2
-#: Least correlation with their pattern of the first star and its neighbours, without the tag.
+#: Least correlation with their pattern of the first star and its neighbours, without the tag: more than during growth,
+#: because all stars follow from these.
 MIN_FIRST_CORRELATION = 0.5
 #: Radius of the search for a star around any place if only the period is known, pitches: nearly half a cell's diagonal.
 PERIOD_REACH = 0.6
-#: Largest number of candidates that are tried in a group.
+#: Largest number of candidates that are tried in a group; it bounds the time in an image without stars.
 MAX_TRIED = 25
 
 

@@ -51,23 +51,27 @@ from calib.target import StarTarget
 #: Blurs of lens and pixel together that are tried, px. The one with most information about the centres is used; P
 #: absorbs the remaining difference.
 BLURS_PX = (0.5, 0.75, 1.1, 1.6, 2.3)
-#: Least and largest width of an edge that is measured, px, and step of its logarithm.
+#: Least and largest width of an edge that is measured, px, and step of its logarithm, between which a parabola is
+#: drawn. From 2 px on, what is measured does not grow any more.
 EDGE_WIDTHS_PX, EDGE_WIDTH_STEP = (0.25, 4.0), 0.2
-#: About the number of stars on which the blurs are compared.
+#: About the number of stars on which the blurs are compared: the blur is much the same for all stars of a view.
 BLUR_STARS = 30
-#: Standard deviation of the smoothing of P over tau in each round, px.
+#: Standard deviation of the smoothing of P over tau in each round, px: it falls as the centres become right.
 BANDWIDTHS_PX = (0.12, 0.08, 0.05)
 #: Number of scoring steps in each round.
 STEPS_PER_ROUND = 2
-#: Number of pixels with the overall distribution of levels that are mixed into every bin of P.
+#: Number of pixels with the overall distribution of levels that are mixed into every bin of P, so that no share is
+#: zero.
 PSEUDO_COUNT = 2.0
 #: Prior standard deviation of the shift of the threshold, px, and scale of the prior of its slope, px per pitch.
 SHIFT_SIGMA, SLOPE_SIGMA = 0.3, 0.1
-#: Least and largest overdispersion of an edge, in units of the median edge's.
+#: Least and largest overdispersion of an edge, in units of the median edge's: that of one edge is estimated with noise,
+#: and may come out negative.
 OVERDISPERSION_RANGE = (0.5, 50.0)
-#: Number of the round, from 0, after which the overdispersion is measured.
+#: Number of the round, from 0, after which the overdispersion is measured: the centres are right by then, and the last
+#: round uses it.
 OVERDISPERSION_ROUND = 1
-#: Largest step of an unknown, px or px per pitch.
+#: Largest step of an unknown, px or px per pitch: the first centres are right to about 0.1 px.
 MAX_STEP_PX = 0.15
 #: Decimals of the pitch at which the printed star is drawn, px. It is drawn by samples: rounding errors of the pitch
 #: would decide on which side of an edge some of them fall, and would move centres by a thousandth of a pixel.

@@ -24,7 +24,7 @@ Halves = tuple[AnyArray, AnyArray]
 MIN_COMMON = 8
 #: Most stars that are followed: time grows with their number.
 MOST_STARS = 300
-#: Side of the square that is followed around each star, pitches.
+#: Side of the square that is followed around each star, pitches: the whole star, and its rim.
 FOLLOWED_PITCHES = 1.3
 #: Largest shift of a star, pitches. Further away its neighbour's cell would take part.
 MAX_SHIFT_PITCHES = 0.25
@@ -32,7 +32,8 @@ MAX_SHIFT_PITCHES = 0.25
 MAX_APART_PITCHES = 0.03
 #: Smoothing of the images after they were halved, px of the halved image: 2 px. With 1 to 4 px, shifts are as right.
 SMOOTHING_PX = 1.0
-#: Number of times the image is halved again, for large shifts; and when a search ends: steps, or px.
+#: Number of times the image is halved again, for large shifts; and when a search ends: steps, or px, half of the error
+#: that a shift has anyway.
 LEVELS, STEPS, LAST_STEP_PX = 1, 10, 0.005
 
 

@@ -29,13 +29,15 @@ from calib.model.rotation import euler_zxy, exp_map, log_map
 #: Standard deviation of what the model neglects (lens, gimbal, homographies) at an image point, px. It is enlarged if
 #: the earlier views disagree more. Points of a view share most of this error, so a view counts as a few points only.
 MODEL_SIGMA_PX, POINTS_PER_VIEW = 1.0, 4
-#: Prior standard deviation of the camera's rotation on the gimbal about each axis, degrees.
+#: Prior standard deviation of the camera's rotation on the gimbal about each axis, degrees: a camera is mounted by eye.
 MOUNTING_SIGMA_DEG = 5.0
 #: Largest standard uncertainty of a prediction, pitches. The next labelling is a pitch away.
 MAX_SIGMA_PITCHES = 0.15
-#: Focal lengths at which the fit starts, widths of the image.
+#: Focal lengths at which the fit starts, widths of the image: each is 1.7 times the one before, from wide to long
+#: lenses.
 FIRST_FOCAL_LENGTHS = (0.6, 1.0, 1.7, 2.9, 5.0)
-#: Number of points along each side of the inner part of the image, and the size of that part as a share of the image.
+#: Number of points along each side of the inner part of the image, and the size of that part as a share of the image:
+#: the distortion that the model neglects is largest at the border.
 SIDE, INNER = 5, 0.8
 _LOG_F, _CENTRE, _LOG_R, _MOUNTING, _BASE = 0, slice(1, 3), 3, slice(4, 7), slice(7, 10)
 _UNKNOWNS = _BASE.stop

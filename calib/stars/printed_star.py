@@ -22,13 +22,14 @@ from calib.target import StarTarget
 OVERSAMPLING = 6
 #: Half the side of the printed star's image, pitches: the star and the rim of its neighbours.
 REACH = 0.62
-#: Largest distance from an edge that is used, in units of the blur.
+#: Largest distance from an edge that is used, in units of the blur: farther off, less than 0.1 % of the brightness
+#: tells it.
 TAU_LIMIT_BLURS = 3.2
-#: Number of steps of the brightness for which the distance from an edge is tabulated.
+#: Number of steps of the brightness for which the distance from an edge is tabulated, right to 1e-5 between them.
 _QUANTILES = 1 << 16
-#: Least brightness for which a distance is computed, and least darkness.
+#: Least brightness for which a distance is computed, and least darkness: 3.7 blurs off, beyond `TAU_LIMIT_BLURS`.
 _LEAST_SHARE = 1e-4
-#: Least half side of the part of a cell that is used, pitches, however wide the blur is.
+#: Least half side of the part of a cell that is used, pitches, however wide the blur is: about half stays.
 MIN_REACH = 0.25
 
 

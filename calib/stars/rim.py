@@ -40,7 +40,7 @@ from calib.view import RimPoints, View
 
 #: Samples farther than this from the border between bright and dark cells, pitches, do not take part in a section.
 _BAND = 1.6
-#: Widths of the fall of the level that are tried, mm: scale of a logistic function.
+#: Widths of the fall of the level that are tried, mm: scale of a logistic function, each twice the one before.
 _WIDTHS_MM = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 #: Least number of samples on each side of the rim, within `_NEAR` pitches, for a section to count.
 _FEWEST, _NEAR = 6, 0.75
@@ -48,10 +48,11 @@ _FEWEST, _NEAR = 6, 0.75
 _MOST_WRONG = 0.12
 #: Standard uncertainty of the map from target to image at the rim, px, and of the brightest level.
 _MAP_SIGMA_PX, _LEVEL_SIGMA = 0.4, 0.05
+#: At most: a fit ends when no place moves farther than 0.002 mm.
 _ROUNDS = 12
 #: Sum of squares from which a width is clearly worse, in units of the best one.
 _CLEARLY_WORSE = 1.5
-#: Distance from the rim, in widths, beyond which the logistic function is 0 or 1.
+#: Distance from the rim, in widths, beyond which the logistic function is 0 or 1 to a millionth.
 _SATURATED = 14.0
 #: Nodes farther than this from all stars, pitches, are outside of the beam.
 _REACH = 3
@@ -68,7 +69,8 @@ _Levels = tuple[float, float, bool]
 #: Standard uncertainty per axis that is added to a vignetted star's own, px. In simulated beams the outermost stars
 #: are all shifted outwards by 0.03 px, which changes f by 2 sigma. With this uncertainty they have little weight.
 VIGNETTED_SIGMA_PX = 0.2
-#: Distance from the border of the frame, pitches, within which a neighbour is missing because of the border.
+#: Distance from the border of the frame, pitches, within which a neighbour is missing because of the border: a star
+#: counts only with its whole cell, half a pitch to each side.
 _BORDER_PITCHES = 0.55
 _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 

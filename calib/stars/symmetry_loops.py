@@ -12,10 +12,11 @@ from calib.stars.grid_map import LocalMap
 
 #: Number of unknowns: centre x, y; relative slope x, y; absolute slope x, y.
 SYMMETRY_UNKNOWNS = 6
-#: Least share of the used samples of a cell that must lie in the image.
+#: Least share of the used samples of a cell that must lie in the image: less of a star no longer fixes its centre well.
 MIN_COVERED = 0.8
 #: Sums may be reordered, so that they run in parallel. Only for loops that meet no nan.
 _IN_PARALLEL = {"reassoc", "contract", "nsz", "nnan", "ninf", "arcp"}
+#: In single precision, as all numbers of the loops: one double would make a whole sum double.
 _ONE, _HALF, _SIXTH = np.float32(1.0), np.float32(0.5), np.float32(1.0 / 6.0)
 _TWO, _THREE, _FOUR = np.float32(2.0), np.float32(3.0), np.float32(4.0)
 

@@ -16,11 +16,11 @@ TEMPLATE_RADII = (0.24, 0.28, 0.32, 0.36, 0.40, 0.44, 0.47)
 SEARCH_RADII = (0.26, 0.35, 0.44)
 #: Least radius of the outer part of a star, pitches. A star cut by the disc's rim lacks contrast there.
 OUTER_RADIUS = 0.35
-#: Sampled places across a segment, as shares of its width.
+#: Sampled places across a segment, as shares of its width: off its edges, where blur mixes black and white.
 TEMPLATE_ACROSS = (0.2, 0.5, 0.8)
-#: Number of sectors in which a star's contrast is measured.
+#: Number of sectors in which a star's contrast is measured: of 16 segments, each has a white and a black one.
 OCTANTS = 8
-#: Least share of a star's samples that must lie in the image.
+#: Least share of a star's samples that must lie in the image: a star that the frame cuts is compared with too little.
 MIN_COVERED = 0.8
 #: Stars whose median correlation with the sharp pattern is below this are searched with a learnt pattern too.
 SHARP_CORRELATION = 0.65

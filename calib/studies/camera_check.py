@@ -48,10 +48,11 @@ _REGIONS = 3  # Along each side: nine, as a photographer names them
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
 #: Changes of the camera that a pose imitates to this share of their effect are not judged.
 _UNSEEN = 1e-3
-#: A point farther off than this many robust sigmas, after all changes are allowed, is a gross error.
+#: A point farther off than this many robust sigmas, after all changes are allowed, is a gross error: by chance, none
+#: is.
 _GROSS = 6.0
 _MEDIAN_OF_NORMAL = 0.6745  # Median of |x| of a standard normal distribution
-_LEAST_POINTS = 20
+_LEAST_POINTS = 20  # Twice as many coordinates as a pose and a camera with eight coefficients have unknowns
 
 #: Each half must determine a camera.
 _MIN_VIEWS = 4
@@ -211,6 +212,9 @@ def _judge(
     camera: CameraModel, covariance: Array | None, points: Array, seen: _Seen, least: float
 ) -> OneViewCheck:
     """Tell whether a change of the camera explains more than noise and covariance do.
+
+    T^2 = a^T (noise I + M C M^T)^-1 a (Hotelling, 1931), with the part a of the residuals along the d changes that are
+    judged, the covariance C of the camera, and M its effect along these; limit: d times the quantile of F(d, freedom).
 
     least: Smallest variance of the noise.
     """

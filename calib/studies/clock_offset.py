@@ -16,14 +16,16 @@ from calib.errors import InputMismatch
 
 #: Two crystals of 100 parts in a million each.
 _LARGEST_RATE = 200e-6
-_LEAST_EDGES = 5
+_LEAST_EDGES = 5  # Two determine offset and rate; three more show whether they fit
 #: Edges around an anchor by which a match is judged.
 _NEIGHBOURS = 200
+#: Anchors that are tried: that the second camera missed all of them, of which it may miss a tenth each, is no chance.
 _ANCHORS = 7
 #: Edges by which a match is looked for; how many of them may be missing; how many shifts are judged.
 _NEXT, _NEXT_MISSED, _MOST_SHIFTS = 9, 2, 2000
 #: Largest share of the edges that one camera may have missed; one edge in any case.
 _MISSED = 0.1
+#: Allowed distance of the two stamps of an edge: for rounding to whole microseconds, and for two trigger inputs.
 _JITTER_US = 3.0
 _REACHES = (16, 128, 1024, 8192)  # Edges about the anchor: the rate is fitted to ever longer parts
 #: Times are whole microseconds, in both cameras: variance of the difference of two roundings.
@@ -142,7 +144,12 @@ def _nearest(times: Array, wanted: Array) -> Array:
 
 
 def _fitted(name: str, first: Array, second: Array, anchor: float, shift: float) -> ClockOffset:
-    """Fit offset and rate in steps that reach further from the anchor, so that each finds the right edges."""
+    """Fit offset and rate in steps that reach further from the anchor, so that each finds the right edges.
+
+    Uncertainties of a straight line (JCGM 100:2008, annex H.3): v / n of the offset in the middle of the times, and
+    v / sum (t - middle)^2 of the rate, with the variance v of the residuals; own: the rounding of the times is added
+    once, as if the edges shared it, and for the rate at both ends.
+    """
     order, rate = np.argsort(np.abs(first - anchor), kind="stable"), 0.0
     allowed = _JITTER_US
     for reach in (*_REACHES, len(first)):

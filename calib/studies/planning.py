@@ -35,7 +35,7 @@ from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_sha
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
-#: Poses are weighed again so many at a time.
+#: Poses are weighed again so many at a time: one at a time is slower for each, and all at once weighs many in vain.
 _AT_ONCE = 12
 
 

@@ -33,7 +33,7 @@ _FOCUS = (amp.PARALLAX, amp.ASIDE)
 #: Distortion of a lens at the corner of the sensor, as a share of the distance from the axis: as large as that of the
 #: camera of arXiv:2512.16092.
 _THIRD_ORDER, _FIFTH_ORDER = 0.003, -0.002
-_GRID_POINTS = 9
+_GRID_POINTS = 9  # Across the sensor: a coarse grid has its corners, where the uncertainty is usually largest
 #: Poses are compared with about so many of their stars; each then counts for those that are left out.
 _STARS = 80
 
@@ -71,7 +71,8 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
     """Return the (A,) logarithms of the amplitudes that a bench expects.
 
     They are those of the run so far, if one is under way. Else they are the medians of the hyperprior, times the size
-    of the errors that the station states over that of a good collimator.
+    of the errors that the station states over that of a good collimator. Own: a pupil that wanders by w turns the
+    pattern by defocus w / r, which readings and stars see differently.
     """
     eta = hyper.mean.copy()
     if bench.amplitudes is not None:

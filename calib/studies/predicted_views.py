@@ -24,7 +24,7 @@ from calib.view import View
 
 #: Stars closer than this to the border of the image are not detected.
 _BORDER_PX = 10.0
-_MIN_STARS = 20
+_MIN_STARS = 20  # More than detection needs (12): a pose is not planned at its limit
 _RIM_POINTS = 72  # Every 5 degrees
 #: `CollimatorErrors.rms_px` of a typical real collimator before a gimbal, px.
 TYPICAL_RMS_PX = 0.12

@@ -178,7 +178,10 @@ def _across(rays: Array) -> Array:
 
 
 def worst_point(camera: CameraModel, covariance: Array) -> Array:
-    """Return the (K,) gradient of the point and direction of the sensor with the largest projection uncertainty."""
+    """Return the (K,) gradient of the point and direction of the sensor with the largest projection uncertainty.
+
+    The eigenvector of the largest eigenvalue of dq/db C dq/db^T over the grid, times dq/db (`projection_uncertainty`).
+    """
     derivatives = projection_derivatives(camera)[0]
     spread = derivatives @ covariance @ np.swapaxes(derivatives, 1, 2)
     values, vectors = np.linalg.eigh(spread)
