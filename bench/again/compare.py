@@ -33,7 +33,7 @@ _WORK = "iterations"
 """A number of work, not of a result: rounding may change it."""
 _COVARIANCES = ("matrix", "covariance_rad2", "sight_covariance_rad2")
 MOST_SHOWN = 12
-"""Differences of one file that are shown one by one."""
+"""Differences of one file that are shown one by one: what changed is seen from the first ones."""
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,8 @@ P = ParamSpec("P")
 
 
 WAIT_POLL_S = 1.0
-"""Period at which a waiting batch checks whether a job was added, s."""
+"""Period at which a waiting batch checks whether a job was added, s: a person notices no delay, and a disk is hardly
+read."""
 
 RunWork = Callable[[Item, Path, Path], WorkerEnd]
 """Does a run, in its run folder, to its end; the output goes to a log file."""

@@ -31,7 +31,7 @@ from sequences.reader import Located, read_document
 
 Document = TypeVar("Document", Queue, JobFile)
 _TOLD_FROM = 2.0
-"""A forecast that is longer than the plans by this factor says why."""
+"""A forecast that is longer than the plans by this factor says why; a smaller one surprises nobody."""
 _WHY_SLOW = (
     "The times below include this: the computer is slower than planned, or other programs keep it busy."
 )

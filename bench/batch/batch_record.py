@@ -26,7 +26,8 @@ MOST_CUTS = 10
 
 _MOST_NAMED = 8  # A line of a terminal
 _MOST_STEP_S = 60.0
-"""A run spans a restart of the computer if the monotonic clock shows so much more time than the system's, s."""
+"""A run spans a restart of the computer if the monotonic clock shows so much more time than the system's, s: a system's
+clock that is corrected goes back by less."""
 
 
 @dataclass(frozen=True)

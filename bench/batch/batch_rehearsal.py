@@ -24,7 +24,8 @@ from sequences.queue import Queue
 from sequences.reader import Located
 
 _ROOM_BYTES = 1_000_000_000
-"""Least room in memory for a rehearsed batch; with less, it is written on the disk."""
+"""Least room in memory for a rehearsed batch; with less, it is written on the disk, which is slower, but takes no
+memory from other programs."""
 
 
 def rehearse_batch(

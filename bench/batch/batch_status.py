@@ -25,7 +25,8 @@ from bench.wording.numbers import duration
 
 FOLLOW_S = 1.0  # The times shown are whole seconds
 _TICK_WAITS = 2
-"""With ``ticks``, the status is read again after this many waits."""
+"""With ``ticks``, the status is read again after this many waits, 2 s: its times go on without a change of the
+journal."""
 _MOST_UPCOMING = 12  # More do not fit on one screen below the rest of the status
 
 

@@ -39,8 +39,10 @@ POLL_S = 0.2  # Short against `SILENCE_S`
 OUT_OF_MEMORY = "ended by the system because memory ran out"
 _LAST_WORDS_S = 2.0  # See `SILENCE_S`
 _SAFE_END_S = 60.0
+"""Longest wait for a process that makes its devices safe, or was killed, s: motions and lights need some seconds."""
 _HIGH_LOAD = 4.0
-"""A load of more than this for each processor is told as a possible cause of a silence."""
+"""A load of more than this for each processor is told as a possible cause of a silence: a program gets less than a
+quarter of one."""
 _ENDS = {0: "finished", 3: "aborted", 4: "finished"}
 """How a run ended, by the exit status of its process; 4: it finished, and does not keep its limits."""
 _STOPPED = 128 + signal.SIGINT  # Before its run began, or by the third Ctrl-C

@@ -18,7 +18,7 @@ LensFamily = Literal["brown", "fisheye"]
 
 _LEAST_SKEW_PX = 1e-9  # Less is rounding
 _LEAST_NAMED = 5
-"""Coefficients of OpenCV that are kept by name although they are zero."""
+"""Coefficients of OpenCV that are kept by name although they are zero: k1, k2, p1, p2, k3, which it writes at least."""
 _OF_MATRIX = 9  # 3 x 3
 
 

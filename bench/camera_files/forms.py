@@ -20,9 +20,9 @@ from calib.model.lens import FISHEYE, OPENCV
 LARGEST: Final = 1e15
 """Of any value: a lens of long focal length has coefficients of 1e9."""
 LONGEST_NAME: Final = 40
-"""Characters of a name that a message shows."""
+"""Characters of a name that a message shows; a longer one hides the rest of the sentence."""
 _MOST_NAMED = 20
-"""Names that a message shows."""
+"""Names that a message shows: some lines of a terminal."""
 _KALIBR = re.compile(r"cam\d+")
 _OF_PAIR = frozenset(("R", "T", "E", "F", "R1", "R2", "P1", "P2", "Q", "pose_covariance"))
 """What OpenCV's stereo sample writes beside M1, D1, M2 and D2, and Starbench beside that: poses and rectification."""

@@ -17,7 +17,7 @@ _LEAST_FOCAL_SHARE = 0.08
 focal length is in mm, or is a share itself."""
 _SWAPPED_FROM, _SWAPPED_TO = 0.05, 1 / 3
 """The sides are swapped if the principal point is this share of a side from the middle, and the swapped sides put it
-this many times nearer."""
+this many times nearer. A principal point nearer to the middle may lie there by chance."""
 
 
 def require_possible_camera(camera: CameraModel) -> None:

@@ -21,7 +21,7 @@ from calib.arrays import Array
 from calib.model.camera import CameraModel
 
 _MOST_NAMED = 10
-"""Cameras that a message shows."""
+"""Cameras that a message shows: a line or two of a terminal."""
 _NEGATIVE = 1e-6
 """Least eigenvalue of a covariance, as a share of the largest: rounding."""
 _OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)

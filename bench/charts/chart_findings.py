@@ -45,12 +45,12 @@ from bench.record.summaries import (
 from bench.wording.numbers import number, plus_minus, with_uncertainty
 from bench.wording.parameters import meaning_of, unit_text
 
-_DAYS_A_YEAR = 365.25
+_DAYS_A_YEAR = 365.25  # A Julian year
 _NAMED = 3  # More runs make a sentence that nobody reads
-_SCATTER_SIGMAS = 3.5
+_SCATTER_SIGMAS = 3.5  # By chance, one parameter in 4000 exceeds it: a page has many
 SCHEMA = "starbench/charts/1"
 LEAST_RUNS = 5
-"""Fewest runs for control limits."""
+"""Fewest runs for control limits: of fewer, at most three ranges would tell the scatter."""
 ENOUGH_RUNS = 20
 """With fewer runs, limits are provisional (Montgomery, section 6.2, advises 20 to 25)."""
 _UNTESTED = Drift(None, None, joint=False, separable=True, between_runs=None, scatter=None)

@@ -22,21 +22,25 @@ D2 = 2.0 / math.sqrt(math.pi)
 E2 = 3.0 / D2
 """Distance of the limits of individuals from the centre, in mean moving ranges: 2.660."""
 EWMA_WEIGHT = 0.2
+"""Weight of the newest value: 0.05 to 0.25 work well; a smaller one finds smaller shifts, later (Montgomery, section
+9.2)."""
 EWMA_LIMIT = 2.86
 """With `EWMA_WEIGHT`, one false alarm in 370 runs on average, as with three sigma (Crowder, J. Quality Technology 21
 (1989) 155)."""
 SHEWHART_CHANCE = 0.0027
 """Chance of a run in control to lie beyond three sigma."""
 LEVEL = 0.05
-"""Chance of one false drift or more on a whole page."""
+"""Chance of one false drift or more on a whole page, as is usual for tests."""
 LEAST_RUNS = 5
-"""Fewest runs for the test of one slope."""
+"""Fewest runs for the test of one slope: its two unknowns leave three degrees of freedom."""
 LEAST_RUNS_JOINT = 8
-"""Fewest runs for the test of both slopes together."""
+"""Fewest runs for the test of both slopes together: their three unknowns leave five degrees of freedom."""
 LEAST_RANGE_C = 0.2
-"""Smallest range of temperatures for which a slope is tested, degrees Celsius."""
+"""Smallest range of temperatures for which a slope is tested, degrees Celsius: within it, a thermometer itself may
+err."""
 INSEPARABLE = 0.9
-"""From this correlation of time and temperature on, their slopes are tested one at a time."""
+"""From this correlation of time and temperature on, their slopes are tested one at a time: together, their
+uncertainties would be 2.3 times as large."""
 
 
 def individuals(values: Sequence[float], baseline: int | None = None) -> LimitsData:

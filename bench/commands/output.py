@@ -37,7 +37,7 @@ _DISK_REMEDIES = {
 
 _WANTED = "bench.json"
 _MOST_SHOWN = 40
-"""Most notes or faults that are printed as text."""
+"""Most notes or faults that are printed as text: a screen."""
 
 
 def _remember(context: click.Context, _option: click.Parameter, wanted: bool) -> None:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from bench.run.runner import RunEnd
 
 _MOST_LISTED = 20
-"""Recordings that are listed by name."""
+"""Recordings that are listed by name: a screen."""
 
 
 @command(

@@ -22,7 +22,7 @@ from bench.record.run_index import RunIndex
 from bench.record.storage import sha256_of
 
 _SHORT = 12
-"""Characters of a hash that name a ledger."""
+"""Characters of a hash that name a ledger: 48 bit, in which no two ledgers agree by chance."""
 
 
 @dataclass(frozen=True)

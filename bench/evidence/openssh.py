@@ -23,7 +23,8 @@ from bench.evidence.ssh_keys import (
 
 SOCKET_VARIABLE = "SSH_AUTH_SOCK"
 _CHECK_S, _SIGN_S = 10.0, 120.0
-"""Longest wait for a check or a list, and for a signature, for which a person may have to touch a token, s."""
+"""Longest wait for a check or a list, which take no time on an idle computer, and for a signature, for which a person
+may have to touch a token, s."""
 _ASKED = "STARBENCH_ASKED"
 _ASK = f"#!/bin/sh\nprintf '%s\\n' \"${_ASKED}\"\n"
 

@@ -42,7 +42,8 @@ _LAST_BYTES = 1 << 20
 """The last line of a journal is shorter than this."""
 _STAMPED = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
 _CLOCK_SLACK = timedelta(minutes=10)
-"""Clocks of a bench and of a time stamping authority may differ so much without a remark."""
+"""Clocks of a bench and of a time stamping authority may differ so much without a remark: that of a computer without a
+time server may be minutes off."""
 LARGEST_SEAL_BYTES = 64 << 20
 """Seals of ten thousand poses are smaller; a larger file is not read."""
 

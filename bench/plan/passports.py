@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 NO_PASSPORT = "none"
 """Word in a sequence: use no passport, not even the station's."""
 MOST_DEGREES_APART = 5.0
-"""Largest difference between the temperatures of passport and bench without a caution, degrees Celsius."""
+"""Largest difference between the temperatures of passport and bench without a caution, degrees Celsius: a tube of
+aluminium becomes longer by 0.01 %."""
 
 PassportSource = Literal["sequence", "station", "station certificate", "command line"]
 

@@ -62,12 +62,12 @@ REPORT_S = 0.5
 RECORDING_BYTES_PER_S = 35e6
 """Recording of a lit target with square flicker. The link of a camera carries about five times as much."""
 MOST_BYTES_PER_EVENT = 4  # EVT3: a word for the row and one for the column
-PICTURE_S = 0.04
+PICTURE_S = 0.04  # 25 pictures a second, as most frame cameras
 PICTURE_SIZE = (1280, 720)
 """Size of a frame camera's picture if the station has no ``expected`` section, px."""
 POSE_BYTES = 200_000
 """Images, stars and logs of one pose."""
-REPORT_BYTES = 1_000_000
+REPORT_BYTES = 1_000_000  # The report stays below two of these; the results of a usual run are smaller
 SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
 SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep)
 DEFAULT_MODEL: CalibrationModel = "auto"

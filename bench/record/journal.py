@@ -22,7 +22,8 @@ from bench.record.storage import open_to_read, storage_errors
 from drivers.durable import O_BINARY, sync_folder, write_all
 
 CLOCK_JUMP_S = 2.0
-"""The system time is said to have jumped if it moved by more than this against the monotonic clock."""
+"""The system time is said to have jumped if it moved by more than this against the monotonic clock, s: a time server
+corrects it in smaller steps."""
 CLOCK_JUMPED = "clock_jumped"
 _BLOCK_BYTES = 512  # The smallest unit that disks write
 MOST_LINE_BYTES = 32 * 1024 * 1024

@@ -28,7 +28,8 @@ from bench.report.timeline import timeline
 from bench.wording.numbers import NOTHING, duration, fixed, number, with_uncertainty
 
 _SCATTER_SIGMAS = 3.0
-"""A Birge ratio is significant if it exceeds 1 by more than this number of its own standard deviations."""
+"""A Birge ratio is significant if it exceeds 1 by more than this number of its own standard deviations: by chance, one
+in 700 does."""
 
 
 def render_batch(summary: BatchSummary) -> str:

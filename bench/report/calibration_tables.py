@@ -20,12 +20,13 @@ _OF_STARS = "stars"
 #: Relative values are printed in millionths.
 _MILLIONTH = "10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT SIX}"
 _UNITS = {"1": _MILLIONTH, "urad": "\N{MICRO SIGN}rad"}
-_EXACT_DIGITS = 3
+_EXACT_DIGITS = 3  # A stated uncertainty has two
 _SHARED = "errors that all views share"
 _OF_WAVEFRONT = "urad"
 """Unit of the slopes of a wavefront, and of no other row."""
 _UNUSUAL, _CONTRADICTION = 2.0, 4.0
-"""Sizes of an innovation, in units of its standard uncertainty."""
+"""Sizes of an innovation, in units of its standard uncertainty: by chance, one in 22 exceeds the first, one in 16,000
+the second."""
 _DOUBTED = 0.3
 """Probability of a fault from which on a statement is named in the notes (`calib.joint.words`)."""
 

@@ -24,9 +24,9 @@ from bench.report.svg_scale import tick_label, ticks
 from bench.report.wide_chart import BLUE, MANY, RED, Chart
 from bench.wording.numbers import plus_minus, with_uncertainty
 
-_TICKS = 4
+_TICKS = 4  # Their labels do not meet at the width of a chart
 MOST_DRAWN = 60
-"""Most parameters that are drawn; the table has all of them."""
+"""Most parameters that are drawn, so that the page of many groups stays small; the table has all of them."""
 _ORDER = ("out of control", "check", "in control", "too few")
 _PILLS = {"in control": "pass", "check": "marginal", "out of control": "fail", "too few": "marginal"}
 

@@ -38,9 +38,10 @@ from calib.uncertainty.projection_uncertainty import (
 GROUND = "#eef3f8"
 """Colour of the sensor where a plot shows what stars support."""
 _COARSE = 8
-"""The part that stars support is drawn from every n-th pixel."""
+"""The part that stars support is drawn from every n-th pixel: finer than its outline is seen, and the file stays
+small."""
 _UNSUPPORTED, _EDGE = "#f2dcc9", "#9a5b00"
-_MOST_LINES = 7
+_MOST_LINES = 7  # More contours leave no room for their labels
 _LARGE_RANGE = 6.0
 """From this ratio of the largest to the smallest value on, contours are at 1, 2 and 5 times powers of ten."""
 _CONTOUR, _HALO, _LABEL_SIZE = "#3b4b5b", "#ffffff", 8.0

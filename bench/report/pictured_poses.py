@@ -13,7 +13,7 @@ from bench.record.measured_facts import GateData
 from bench.record.results import Results
 
 MOST_PICTURES = 24
-"""Largest number of poses shown as images."""
+"""Largest number of poses shown as images, so that the report stays small enough for a mail."""
 _WORST = 3  # Views that somebody looks at first
 _NOT_PASSED = ("fail", "marginal")
 
@@ -23,7 +23,7 @@ PLOTS = (
 )  # fmt: skip
 """Names of the plots in the template."""
 MOST_STARS = 12_000
-"""Approximate largest number of stars in a plot."""
+"""Approximate largest number of stars in a plot: more hide each other, and make the page slow."""
 _GOLDEN = 0.6180339887498949  # Fraction of the golden ratio: its multiples spread evenly over 0 to 1
 
 

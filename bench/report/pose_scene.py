@@ -15,7 +15,7 @@ from calib.model.camera import CameraModel
 _YAW_DEG, _PITCH_DEG = 38.0, 24.0
 """Direction from which the scene is seen: from the right of the camera and from above."""
 _MOST = 40
-"""Largest number of poses drawn."""
+"""Largest number of poses drawn: more hide each other."""
 _EDGE_POINTS = 9  # Enough for a smooth curve where the lens bends the side of the sensor
 _ROOM = 22.0
 """Room for the title, points."""

@@ -34,9 +34,9 @@ SLOW_STATES = frozenset(
 WINDOW_S = 10.0
 """The lateness of this time is looked at, s."""
 BUSY_S = 3.0
-"""A computer is too busy if it was late by this time in a window, s."""
+"""A computer is too busy if it was late by this time in a window, s: the share of `drivers.lateness.BUSY_SHARE`."""
 REPEAT_S = 60.0
-"""The journal says so at most once in this time, s."""
+"""The journal says so at most once in this time, s, so that it stays short through a busy night."""
 
 
 @dataclass(frozen=True)

@@ -163,7 +163,7 @@ class Door(Interlock):
     """A file that states whether the enclosure is closed. If it cannot be read, the door counts as open."""
 
     name = DOOR
-    poll_s = 0.1
+    poll_s = 0.1  # A run holds at once when a door opens
     config: DoorConfig
     utc_s: Callable[[], float] = time.time  # Returns the system time, s since 1970
 
@@ -219,7 +219,7 @@ class CameraTemperature(Interlock):
     """Temperature of the sensor; a camera that does not measure it never holds the run."""
 
     name = "camera_temperature"
-    poll_s = 5.0
+    poll_s = 5.0  # A sensor warms up in minutes
     config: CameraTemperatureConfig
     read_c: Callable[[], float | None]  # Reads the temperature, degrees Celsius
 
@@ -237,7 +237,7 @@ class EventRate(Interlock):
     """Event rate of the last recording; while it holds, that of a short recording in the dark."""
 
     name = "event_rate"
-    poll_s = 2.0
+    poll_s = 2.0  # While it holds, each look is a recording
     config: EventRateConfig
     last_mev_s: Callable[[], float]  # Returns the event rate of the last recording, Mev/s
     dark_mev_s: Callable[[float], float]  # Measures the event rate in the dark for a time in s, Mev/s

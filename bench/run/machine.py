@@ -49,7 +49,7 @@ READY: tuple[State, ...] = (
 
 END_STATES: tuple[State, ...] = ("finished", "aborted", "failed")
 MAX_HOLD_S = 8 * 3600.0
-"""A run that an operator holds for longer than this is aborted safely, s."""
+"""A run that an operator holds for longer than this, a working day, is aborted safely, s."""
 
 _BUSY = tuple(s for s in STATES if s not in {*END_STATES, "aborting"})
 

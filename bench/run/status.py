@@ -51,7 +51,7 @@ _REASONS: Mapping[str, str] = {
 LAST_LINES = 5  # What happened just now
 
 _WORTH_TELLING_S = 5.0
-"""A run that has ended tells how late the computer was if it lost more than this, s."""
+"""A run that has ended tells how late the computer was if it lost more than this, s; less changes no recording."""
 
 
 def event_text(entry: Entry) -> str:

@@ -24,7 +24,7 @@ from sequences.script import (
 )
 
 CRASHES_ALLOWED = 1
-"""A pose at which the process crashed more often than this is not tried again."""
+"""A pose at which the process crashed more often than this is not tried again: one crash may be chance."""
 
 
 def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[ScriptStep]:

@@ -25,6 +25,7 @@ from drivers.camera.raw_file import RawFile
 from sequences.script import Flicker
 
 FREQUENCY_HZ = 20.0
+"""Slow enough for any light and pixel, and far from the 100 and 120 Hz of lamps on the mains."""
 DUTY_PERCENT = 25.0
 """Not 50 %: the edges alone then show which of them is the rising one."""
 DARK_S = 0.5  # Ten periods
@@ -32,12 +33,14 @@ BRIGHT_S = 1.5  # Thirty periods
 CHANNEL = 0
 """Trigger channel of the main input."""
 _AFTER_EDGE = 0.2
-"""Events in this share of a period after an edge are counted."""
+"""Events in this share of a period after an edge are counted: less than the bright part, so that the next edge is
+out."""
 _MOST_LOST = 0.05  # Share of the edges
 _FEWEST_EVENTS = 200  # Ten a bin
 _BINS = 20  # Of a period; five are bright
 _BURST = 3.0
-"""The fullest of ``_BINS`` parts of a period has this many times the mean, where the camera sees the flicker."""
+"""The fullest of ``_BINS`` parts of a period has this many times the mean, where the camera sees the flicker; of noise,
+all parts have about the mean."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ _NOT_INDEPENDENT = (
 PARALLAX_TEST = "Parallax test"
 """Name of the shipped sequence that must have a result here, or say why there is none."""
 
-#: The station's place of the pupil is contradicted from this many standard uncertainties on.
+#: The station's place of the pupil is contradicted from this many standard uncertainties on: by chance, one in 80 is.
 _CONTRADICTED = 2.5
 
 

@@ -17,7 +17,7 @@ from bench.record.run_folder import MANIFEST, RESULTS
 from bench.record.stored_run import results_of
 
 _MOST_READ = 20
-"""Runs whose results are read before the search is given up."""
+"""Runs whose results are read before the search is given up: each takes some time."""
 _LARGEST_BYTES = 100_000_000  # Far above the results of hundreds of poses
 
 

@@ -28,7 +28,7 @@ from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import ChooseStep, Pose, SolveStep
 
-_CANDIDATES = {"pan": 13, "tilt": 13, "roll": 7}
+_CANDIDATES = {"pan": 13, "tilt": 13, "roll": 7}  # Poses along each axis; a finer grid takes longer to weigh
 LARGEST_ROLL_DEG = 90.0
 """Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
 SMALLEST_COVERAGE_FACTOR = 2.0

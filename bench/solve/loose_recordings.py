@@ -11,7 +11,7 @@ RECORDINGS = {".raw"}
 MOST_EVENTS = 50_000_000
 """Events of a recording that are used: a second of a bright target, in 1.5 GB of memory. A run records two periods."""
 _MOST_NAMED = 5  # What fits on two lines of a terminal
-_PART_BYTES = 1 << 20
+_PART_BYTES = 1 << 20  # Copied at a time, so that a long recording takes little memory
 
 
 @contextmanager

@@ -35,17 +35,22 @@ from sequences.reader import Located
 Array = NDArray[np.float64]
 
 GRID = {"pan_deg": 13, "tilt_deg": 9, "roll_deg": 7}
-"""Poses along each axis, in each of the two grids: over the stage's range, and over the part that shows the target."""
+"""Poses along each axis, in each of the two grids: over the stage's range, and over the part that shows the target. A
+finer one would take longer to weigh, and `REFINEMENTS` find the poses between."""
 REFINEMENTS = (0.5, 0.25)
 """Steps of the finer grids around the best pose, in steps of the grid."""
 ALIGNED_ROLL_DEG = 5.0
-"""A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees."""
+"""A pose avoids edges along the pixels if its roll differs by at least this from those recorded, degrees: errors of
+edges are correlated at 0.5 degrees, and not at 10 (docs/stars.md)."""
 MORE_STARS = 1.2
-"""A chosen pose should show this many times the stars that its gate asks for."""
+"""A chosen pose should show this many times the stars that its gate asks for: where it points is known to a degree or
+so."""
 LITTLE_GAIN = 0.95
-"""A goal out of reach ends the step only if all allowed poses would leave more than this share of U."""
+"""A goal out of reach ends the step only if all allowed poses would leave more than this share of U: nobody needs the
+rest."""
 LATER_CANDIDATES = 100
-"""Number of poses of the grid, about, from which all later poses are chosen for an expectation of the end."""
+"""Number of poses of the grid, about, from which all later poses are chosen for an expectation of the end: it bounds
+the time of each choice."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ from sequences.script import SolveStep
 Reached = Callable[[int, int], None]
 """Is told how many views or recordings of all have been read."""
 _MOST_NAMES = 5
-"""Views of a folder that a message names."""
+"""Views of a folder that a message names: a line or two."""
 _CLEARLY_MORE = 4
 """So many times as many images as of all other sizes have the size of the camera; nearer numbers decide nothing."""
 

@@ -35,7 +35,7 @@ class MailConfig(StrictModel):
     kind: ClassVar[str] = "mail"
 
     host: Text
-    port: Annotated[int, Field(ge=1, le=65535)] = 587
+    port: Annotated[int, Field(ge=1, le=65535)] = 587  # Submission of mail (RFC 6409)
     security: Literal["starttls", "tls", "none"] = "starttls"
     sender: Address
     to: Annotated[tuple[Address, ...], Field(min_length=1, max_length=50)]

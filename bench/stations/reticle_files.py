@@ -29,7 +29,7 @@ from bench.stations.target_shapes import Drawing, Shapes, draw_target
 _short = partial(plain_number, digits=6)
 """Prints a length in mm; six decimals are a nanometre."""
 
-MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
+MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4}  # By the names of the units
 _POINTS_PER_MM = 72.0 / 25.4  # PDF's point is 1/72 of an inch
 _LARGEST_PDF_MM = 14_400 / _POINTS_PER_MM
 """The largest page of PDF 1.7 without a unit of its own (ISO 32000-1, annex C.2)."""
@@ -42,9 +42,9 @@ GDS_OPAQUE, GDS_OUTLINE = 1, 10
 GDS_CELL = "TARGET"
 GDS_STEP_M = 1e-9
 """Step of the coordinates in a GDSII file: 1 nm."""
-_LARGEST_GDS_MM = 2 * 2**31 * GDS_STEP_M * 1e3
-_DXF_UNITS = {"inch": 1, "mm": 4, "um": 13}
-_NO_DATE = datetime(2000, 1, 1, tzinfo=UTC)
+_LARGEST_GDS_MM = 2 * 2**31 * GDS_STEP_M * 1e3  # Coordinates have 32 bits, one of them the sign
+_DXF_UNITS = {"inch": 1, "mm": 4, "um": 13}  # Values of $INSUNITS in DXF
+_NO_DATE = datetime(2000, 1, 1, tzinfo=UTC)  # The same drawing gives the same file
 
 _ON_OPAQUE = {"layer": OPAQUE_LAYER}
 

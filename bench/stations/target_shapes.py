@@ -31,7 +31,7 @@ _CLEAR_PITCHES = 1.5
 _LETTER_PITCHES = 0.8  # Letters stay within a row of the margin
 _BAR_PITCHES = 0.25  # Thick enough to be seen beside the letters
 _LONGEST_BAR = 0.5
-"""Longest scale bar that is chosen, as a share of the shorter side of the pattern."""
+"""Longest scale bar that is chosen, as a share of the shorter side of the pattern: its label stands beside it."""
 _MOST_POLYGONS = 1_000_000  # Bounds the memory and the size of the file
 
 

@@ -15,7 +15,7 @@ from calib.calibration import REFERENCE_MODELS
 from sequences.script import Flicker, LightStep, MoveStep, PromptStep, RecordStep, SolveStep, Step
 
 MOST_LINES = 120
-"""In a longer plan the steps in the middle are left out."""
+"""In a longer plan the steps in the middle are left out: some screens."""
 DRAWN_ROWS, MOST_DRAWN = 17, 40
 """Size of the drawing of the beam, in lines of a terminal; of more poses, the numbers hide each other."""
 

@@ -41,7 +41,7 @@ _EVENTS = frozenset({RESERVED, ISSUED, VOIDED, LOST})
 How = Literal["reserved", "issued", "void", "lost"]
 
 LOCK = "certificates.lock"
-_CLOCK_SLACK = timedelta(seconds=2)
+_CLOCK_SLACK = timedelta(seconds=2)  # A time server sets a clock back by less
 
 
 def is_number_format(text: str) -> bool:

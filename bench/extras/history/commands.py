@@ -33,7 +33,7 @@ from bench.solve.agreement import compare_runs
 from bench.wording.numbers import plus_minus, with_uncertainty
 
 _MOST_GROUPS = 12
-"""Most groups of one kind that the terminal describes; it counts the others."""
+"""Most groups of one kind that the terminal describes, a screen; it counts the others."""
 
 
 _CHARTS, _AGREEMENT, _TABLE = "charts", "agreement", "table"

@@ -14,7 +14,7 @@ from bench.base.errors import UsageError
 from bench.extras.history.columns import COLUMNS, SCHEMA, Cell, Row
 from bench.record.storage import new_output, require_free, storage_errors
 
-ROWS_AT_ONCE = 500
+ROWS_AT_ONCE = 500  # Rows in memory, and in a group of a Parquet file
 ENDINGS = (".parquet", ".csv")
 _INSTALL = (
     "Install it: pip install 'starbench[table]'. Or name a file that ends in .csv, which needs nothing."

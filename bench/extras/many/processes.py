@@ -23,11 +23,11 @@ from bench.work.workers import Finished, Serial, Work, Workers, WorkersLost, do
 _MODULE = "bench.extras.many.processes"
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _LOOK_S = 1.0  # A worker whose command was killed works on for so long
-_MOST_PROCESSES = 1024
+_MOST_PROCESSES = 1024  # As `bench.commands.workers` allows
 _LEAST_BYTES = 4 << 30
 """Memory that each process on this computer may use at least: a share of this computer's may be less."""
 _SILENCE_S = 60.0
-"""How long to wait while the scheduler has no worker."""
+"""How long to wait while the scheduler has no worker, s: a cluster needs time to start one."""
 _CONNECT_S = 10.0  # A scheduler that is there answers at once
 _SIZE_HOLDS_S = 5.0  # Asking the scheduler for each task would cost more than the task
 _LOGGERS = (

@@ -16,7 +16,7 @@ from bench.run.messages.outbox import Message, Outbox
 from bench.stations.messages_section import MessagesConfig
 
 FIRST_PAUSE_S = 5.0  # Doubled after each try that failed
-LONGEST_PAUSE_S = 3600.0
+LONGEST_PAUSE_S = 3600.0  # A network that is back is used within an hour
 _UNPRINTABLE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
 """Colours of a terminal, and control characters: an error of another package may have them."""
 

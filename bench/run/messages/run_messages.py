@@ -14,7 +14,7 @@ from bench.run.status import read_status, status_text
 from bench.stations.messages_section import WEBHOOKS_LEFT, MessagesConfig
 
 HOLD_NOTIFY_INTERVAL_S = 600.0
-"""Shortest time between two notifications about holds by the same interlock, s."""
+"""Shortest time between two notifications about holds by the same interlock, s: more often, nobody reads them."""
 
 
 class RunMessages:

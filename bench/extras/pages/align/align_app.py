@@ -26,7 +26,7 @@ from bench.extras.pages.web.pages import page_app, read_object
 from bench.extras.pages.web.server_sent import EventStream, Message
 
 PAGE = Path(__file__).parent / "page"
-BEAT_S = 1.0
+BEAT_S = 1.0  # So often that a page tells a lost link within some seconds
 _FREE = frozenset({"stop", "take", "beat"})
 """Requests that need no controls: they change nothing, or make the bench safer."""
 

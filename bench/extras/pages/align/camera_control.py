@@ -23,7 +23,7 @@ from drivers.camera.frames import FrameSettings
 
 T = TypeVar("T")
 ANSWER_S = 20.0
-"""Longest wait for the camera between two slices, s."""
+"""Longest wait for the camera between two slices, s: twice the longest slice on a busy computer (`session.OLD_S`)."""
 _IMX636: Mapping[str, tuple[int, int]] = {
     "bias_diff_on": (-150, 200),
     "bias_diff_off": (-150, 200),

@@ -17,7 +17,8 @@ from sequences.schema import FlickerConfig
 from sequences.script import Flicker
 
 RANGES = {"duty_percent": (1.0, 99.0), "level_percent": (0.1, 100.0)}
-"""Lowest and highest value of each number besides the frequency, whose range the station states."""
+"""Lowest and highest value of each number besides the frequency, whose range the station states. At a duty of 0 or 100
+%, or without light, nothing flickers."""
 
 
 @dataclass(frozen=True)

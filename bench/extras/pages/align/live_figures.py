@@ -37,7 +37,7 @@ from drivers.errors import RecordingFileError
 
 __all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice"]
 
-JPEG_QUALITY: Final = 82
+JPEG_QUALITY: Final = 82  # Less blurs the edges of stars, more makes each picture larger
 
 Corners = tuple[tuple[float, float], ...]
 

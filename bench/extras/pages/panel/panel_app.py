@@ -35,7 +35,8 @@ from bench.run.control import Command, command_text, send
 
 ASSETS = Path(__file__).parent / "assets"
 LIST_S = 1.0
-"""Time between two looks at the folder while a page lists it, s."""
+"""Time between two looks at the folder while a page lists it, s: a new run appears within it, and a disk is hardly
+read."""
 
 
 async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIterator[Message]:

@@ -30,7 +30,7 @@ from bench.run.machine import END_STATES, MAX_HOLD_S
 from bench.run.status import evidence_text
 from bench.wording.causes import cause_sentences
 
-_QUIET_LIMIT_S = 15.0
+_QUIET_LIMIT_S = 15.0  # Longer than a worker may be silent before its batch ends it
 _GIGABYTE = 1e9  # Bytes, as disks are sold
 _POSES_OF_A_SERIES = 3  # One bad pose is chance, three in a row a cause
 

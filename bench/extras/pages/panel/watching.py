@@ -34,7 +34,7 @@ from bench.record.history import History
 from bench.run.last_view import LastView, read_last_view
 
 LOOK_S = 0.02
-"""Time between two looks at a journal, s."""
+"""Time between two looks at a journal, s: a person sees no delay."""
 PROCESS_S = 0.5
 """Time between two looks at a run's process, s."""
 AGAIN_S = 5.0
@@ -43,12 +43,12 @@ LINGER_S = 20.0
 """A run without readers is kept for this time, s: a page that is loaded again finds it ready."""
 MOST_LOG_LINES = 300  # Older ones come on request
 MOST_VIEWS = 40
-"""Pictures that are kept for each run."""
+"""Pictures that are kept for each run; it bounds the memory of a night."""
 T = TypeVar("T")
 _MOST_PICTURES = 60  # So that a page left open for a night keeps its memory
 
 CELLS = (32, 18)
-"""Columns and rows in which the coverage is counted."""
+"""Columns and rows in which the coverage is counted: squares of 40 px at 1280 x 720."""
 _MOST_FORECASTS = 8  # Points of a curve
 _MOST_POSES_TO_FORECAST = 60  # Further poses change little
 

@@ -18,7 +18,7 @@ from starlette.requests import Request
 from starlette.types import Message as AsgiMessage
 from starlette.types import Receive, Scope, Send
 
-HEARTBEAT_S = 2.0
+HEARTBEAT_S = 2.0  # So often that a page tells a lost link within some seconds
 CLOSING = "starbench.closing"
 """Key of the state in an ASGI scope: an event that is set when the server closes; every stream then ends."""
 _RETRY_MS = 500  # A page is back soon after a restart
