@@ -10,7 +10,6 @@ other work on the computer hardly changes, and its 95th percentile. The scaling 
 import resource
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,35 +53,32 @@ def main() -> None:
     sources = list(view_sources(options.run, OfflineOptions()))
     before_mb = _peak_mb()
     views = [source.read() for source in sources]  # compiles the kernels
-    given = [replace(source, read=partial(_same, view)) for source, view in zip(sources, views, strict=True)]
+    given = [
+        replace(source, read=lambda view=view: view) for source, view in zip(sources, views, strict=True)
+    ]
     result = calibrate_sources(given, OfflineOptions())
     offline_files(result, "costs")
     rounds = options.rounds
     poses = len(sources)
     paths = [source.path for source in sources]
-    pose = {
-        "hash of the recording": measured.cpu_times(rounds, lambda: [sha256_of(path) for path in paths])
-        / poses,
-        "decoding": measured.cpu_times(rounds, lambda: [_decode(path) for path in paths]) / poses,
-        "finding the stars, decoding included": measured.cpu_times(
-            rounds, lambda: [source.read() for source in sources]
-        )
-        / poses,
-        "check in a run: stars, motion, edge width, flicker": measured.cpu_times(
-            rounds, lambda: [_check(path) for path in paths]
-        )
-        / poses,
+    of_a_pose = {
+        "hash of the recording": lambda: [sha256_of(path) for path in paths],
+        "decoding": lambda: [_decode(path) for path in paths],
+        "finding the stars, decoding included": lambda: [source.read() for source in sources],
+        "check in a run: stars, motion, edge width, flicker": lambda: [_check(path) for path in paths],
     }
-    run = {
-        "fit, the run's own model": measured.cpu_times(
-            rounds, lambda: calibrate_sources(given, OfflineOptions())
-        ),
-        "results, report, exports": measured.cpu_times(rounds, lambda: offline_files(result, "costs")),
+    of_a_run = {
+        "fit, the run's own model": lambda: calibrate_sources(given, OfflineOptions()),
+        "results, report, exports": lambda: offline_files(result, "costs"),
     }
+    pose = {what: measured.cpu_times(rounds, work) / poses for what, work in of_a_pose.items()}
+    run = {what: measured.cpu_times(rounds, work) for what, work in of_a_run.items()}
+    hashed, _, found, _ = (took.median_s for took in pose.values())
+    fit_s, files_s = (took.median_s for took in run.values())
     costs = Costs(
-        find_s=pose["hash of the recording"].median_s + pose["finding the stars, decoding included"].median_s,
-        fit_s=run["fit, the run's own model"].median_s,
-        files_s=run["results, report, exports"].median_s,
+        find_s=hashed + found,
+        fit_s=fit_s,
+        files_s=files_s,
         recording_mb=sum(path.stat().st_size for path in paths) / poses / 1e6,
         events_m=sum(_decode(path) for path in paths) / poses / 1e6,
         memory_mb=_peak_mb(),
@@ -91,10 +87,6 @@ def main() -> None:
     _print_parts(pose, run, poses)
     _print_sizes(costs)
     _print_sums(costs, paths, options.scaling)
-
-
-def _same(view: Any) -> Any:
-    return view
 
 
 def _check(path: Path) -> Any:

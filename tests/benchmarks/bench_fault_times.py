@@ -12,17 +12,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
-import subprocess
-import threading
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import measured
-from quick_runs import THREE, write_sequence, write_station
-from running import PATIENCE_S, STARBENCH, entering, environment, journal, start, start_python
+from quick_runs import CONFIG, THREE, write_sequence, write_station_of
+from running import PATIENCE_S, entering, journal, start
 from servers import MailServer, serving
+
+from bench.simulated import SimulatedBench
 
 FAULTS = {
     "pan stall": "slewing",
@@ -47,31 +45,6 @@ FAULTS = {
 """The order, and the state of pose 2 in which it is given."""
 
 
-@dataclass
-class Bench:
-    """A simulated bench that outlives the run; its answers are taken by a thread."""
-
-    process: subprocess.Popen[str]
-    ports: dict[str, str] = field(default_factory=dict)
-
-    @classmethod
-    def started(cls, station: Path, home: Path) -> Bench:
-        """Start it, and wait for its ports."""
-        words = ("simulate", "--station", station, "--seed", 7)
-        process = start_python(*STARBENCH[1:], *words, stdin=subprocess.PIPE, **environment(home))
-        bench = cls(process)
-        while set(bench.ports) < set(re.findall(r"sim:([\w-]+)", station.read_text())):
-            name, port = process.stdout.readline().split()
-            bench.ports[name] = port
-        threading.Thread(target=lambda: list(process.stdout), daemon=True).start()
-        return bench
-
-    def order(self, text: str) -> None:
-        """Give an order."""
-        self.process.stdin.write(text + "\n")
-        self.process.stdin.flush()
-
-
 def told_by(lines: list[dict], since: int) -> str:
     """Return what the journal says of the fault; empty if it says nothing yet."""
     for line in lines[since:]:
@@ -89,39 +62,29 @@ def told_by(lines: list[dict], since: int) -> str:
 def measure(folder: Path, fault: str, state: str) -> str:
     """Do a run with one fault; return its row."""
     folder.mkdir()
-    with serving(MailServer()) as server:
-        station = write_station(folder / "station.yaml", server.section)
-        bench = Bench.started(station, folder / "home")
-        try:
-            lines = station.read_text().splitlines()
-            text = "\n".join(line for line in lines if not line.startswith("simulation:"))
-            for name, port in bench.ports.items():
-                text = re.sub(rf"sim:{name}(?![\w-])", port, text)
-            station.write_text(text + "\n")
-            sequence = write_sequence(folder / "sequence.yaml", THREE, attempts=1)
-            run = folder / "run"
-            process = start("run", sequence, "-s", station, "-o", run, home=folder / "home")
-            while process.poll() is None and not any(map(entering(state, 2), journal(run))):
-                time.sleep(0.005)
-            since, began_s = len(journal(run)), time.monotonic()
-            bench.order(fault)
-            seen_s, message_s, what = None, None, ""
-            while process.poll() is None and time.monotonic() < began_s + PATIENCE_S:
-                now_s = time.monotonic() - began_s
-                if seen_s is None and (what := told_by(journal(run), since)):
-                    seen_s = now_s
-                if message_s is None and server.letters:
-                    message_s = now_s
-                time.sleep(0.01)
-            ended_s = time.monotonic() - began_s
-            _, errors = process.communicate()
-            if not journal(run):
-                raise SystemExit(f"the run did not begin: {errors}")
+    with serving(MailServer()) as server, SimulatedBench(CONFIG, 7) as bench:
+        station = write_station_of(folder / "station.yaml", bench, server.section)
+        sequence = write_sequence(folder / "sequence.yaml", THREE, attempts=1)
+        run = folder / "run"
+        process = start("run", sequence, "-s", station, "-o", run, home=folder / "home")
+        while process.poll() is None and not any(map(entering(state, 2), journal(run))):
+            time.sleep(0.005)
+        since, began_s = len(journal(run)), time.monotonic()
+        bench.order(fault)
+        seen_s, message_s, what = None, None, ""
+        while process.poll() is None and time.monotonic() < began_s + PATIENCE_S:
+            now_s = time.monotonic() - began_s
+            if seen_s is None and (what := told_by(journal(run), since)):
+                seen_s = now_s
             if message_s is None and server.letters:
-                message_s = ended_s
-        finally:
-            bench.process.kill()
-            bench.process.communicate()
+                message_s = now_s
+            time.sleep(0.01)
+        ended_s = time.monotonic() - began_s
+        _, errors = process.communicate()
+        if not journal(run):
+            raise SystemExit(f"the run did not begin: {errors}")
+        if message_s is None and server.letters:
+            message_s = ended_s
     end = journal(run)[-1]
     states = ", ".join(f"{device['device']} {device['state']}" for device in end.get("devices", ()))
     after_s = (seen_s, message_s, ended_s)

@@ -4,7 +4,7 @@
         [--seeds 0-19] [--lens shipped] [--jobs 1] [--quick] [--table]
 
 Each result is a line of JSON in the file; a later run with the same file goes on where the first one was stopped. The
-engine is used through `calib.calibrate` and `calib.projection_uncertainty` only, so the same program judges another
+engine is used through `calib.calibrate` only, so the same program judges another
 checkout: `PYTHONPATH=CHECKOUT python .../bench_worlds.py`. ``--quick`` takes few seeds, 3 and 9 poses, some 2 CPU
 minutes. The world `stranger` needs Optiland; 0 poses: the seed decides. ``--table`` prints the table of a file and
 calibrates nothing; ``--page`` prints the short one of docs/measured. The seeds decide everything that is drawn.

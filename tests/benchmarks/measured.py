@@ -16,7 +16,6 @@ import io
 import json
 import os
 import re
-import statistics
 import subprocess
 import sys
 import time
@@ -26,9 +25,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
-ROOT = Path(__file__).parents[2]
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "tests" / "extras" / "support")]
 FOLDER = ROOT / "docs" / "measured"
 ORIGIN = "Measured by `"
@@ -109,10 +110,7 @@ class Spread(NamedTuple):
 
 def spread(times_s: Iterable[float]) -> Spread:
     """Return the spread of some times, s; between two of them it is interpolated."""
-    times = sorted(times_s)
-    if len(times) < 2:
-        return Spread(times[0], times[0])
-    return Spread(statistics.median(times), statistics.quantiles(times, n=20, method="inclusive")[-1])
+    return Spread(*np.percentile(list(times_s), (50, 95)).tolist())
 
 
 def cpu_times(rounds: int, work: Callable[[], object]) -> Spread:

@@ -6,8 +6,7 @@ import time
 from contextlib import closing, contextmanager
 
 import pytest
-import yaml
-from quick_runs import SIMULATION, THREE_NAMED, write_queue, write_sequence, write_station
+from quick_runs import CONFIG, THREE_NAMED, write_queue, write_sequence, write_station_of
 from running import (
     PATIENCE_S,
     children,
@@ -27,7 +26,6 @@ from bench.stations.station import load_station
 from drivers.file_lock import FOLDER_VARIABLE
 
 AT_POSE = {"recording": 1, "slewing": 2}
-CONFIG = yaml.safe_load(SIMULATION % "")["simulation"]
 
 
 @pytest.fixture
@@ -35,12 +33,7 @@ def bench(tmp_path, monkeypatch):
     """A simulated bench of its own process, that outlives runs on it; a station of its real ports; a sequence."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "locks"))  # other tests have devices of the same names
     with SimulatedBench(CONFIG, 7) as world:
-        station = write_station(tmp_path / "station.yaml")
-        text = station.read_text()
-        for name in ("gimbal", "light", "camera"):
-            text = text.replace(f"sim:{name}", world.endpoints[name])
-        text = text.replace(SIMULATION % "", "")
-        station.write_text(text)
+        station = write_station_of(tmp_path / "station.yaml", world)
         yield world, station, write_sequence(tmp_path / "sequence.yaml", THREE_NAMED)
 
 

@@ -1,11 +1,13 @@
 """A simulated bench with a small sensor and a fast stage, and sequences for it: runs that take seconds."""
 
+import yaml
 from station_texts import PLAIN
 
 SIMULATION = (
     "simulation: {%sports: pty, paced: false, noise: typical, "
     "camera: {width: 640, height: 360, fx: 1672, fy: 1672, cx: 320, cy: 180}}"
 )
+CONFIG = yaml.safe_load(SIMULATION % "")["simulation"]
 SEQUENCE = """\
 format: starbench/sequence/1
 name: Quick poses
@@ -52,6 +54,15 @@ def write_station(path, more="", simulation=""):
         assert old in text
         text = text.replace(old, new)
     path.write_text(text + more)
+    return path
+
+
+def write_station_of(path, world, more=""):
+    """A station file of the ports of a simulated bench, which outlives the runs on it."""
+    text = write_station(path, more).read_text().replace(SIMULATION % "", "")
+    for name, port in world.endpoints.items():
+        text = text.replace(f"sim:{name}", port)
+    path.write_text(text)
     return path
 
 

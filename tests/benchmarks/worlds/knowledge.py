@@ -39,7 +39,6 @@ class Answer:
     model: str
     rms_px: float
     left_out_rms_px: float | None
-    largest_px: float  # largest projection uncertainty of the public map, 1 sigma
     raw: Any  # the engine's own result
 
 
@@ -125,7 +124,6 @@ def solve(bench: Bench, options: calib.CalibrationOptions) -> Answer:
     names = camera.parameter_names
     values = dict(zip(names, camera.values.tolist(), strict=True))
     covariance = np.asarray(calibration.camera_covariance)
-    largest = calib.projection_uncertainty(camera, covariance).worst_px
     return Answer(
         values,
         covariance,
@@ -135,7 +133,6 @@ def solve(bench: Bench, options: calib.CalibrationOptions) -> Answer:
         calibration.model,
         float(calibration.rms_px),
         calibration.left_out_rms_px,
-        float(largest),
         calibration,
     )
 

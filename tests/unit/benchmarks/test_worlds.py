@@ -55,7 +55,7 @@ def test_the_judges_corner_is_that_of_the_projection_map(family):
     sizes = np.diag([1.0 if name in judge.CENTRE else 1e-3 for name in model.parameter_names])
     covariance = sizes @ spread @ spread.T @ sizes
     values = {name: camera.values[name] for name in model.parameter_names}
-    answer = Answer(values, covariance, 2.0, {}, (), "", 0.0, None, 0.0, None)
+    answer = Answer(values, covariance, 2.0, {}, (), "", 0.0, None, None)
     error, sigma = judge.corner(answer, camera)
     mapped = calib.projection_uncertainty(model, covariance).sigma_px[[0, 0, -1, -1], [0, -1, 0, -1]]
     assert sigma == pytest.approx(mapped.max(), rel=0.02)
