@@ -1,7 +1,8 @@
-"""A headless Chromium, the configuration folder of a module's runs, and a clock that only waits turn."""
+"""What tests of whole devices and runs share: a browser, a home, a run of three poses, a disk, a turned clock."""
 
 import pytest
 from align_browser import running_chromium
+from own_disk import Disk
 from running import called
 from shared_folder import shared_folder
 
@@ -30,6 +31,14 @@ def three_pose(tmp_path_factory):
             (folder / stream).write_text(getattr(ended, stream))
 
     return shared_folder(tmp_path_factory, "three-pose", make)
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A file system of the test's own."""
+    disk = Disk(tmp_path)
+    yield disk
+    disk.close()
 
 
 @pytest.fixture

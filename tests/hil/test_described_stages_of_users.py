@@ -14,17 +14,12 @@ from tests.hil.direct_stages import VirtualClock
 from tests.hil.text_wire import LINES, SPEED, Motor, Wire, described
 
 
-def opened(
-    wire: Wire, description: Path, *axes: tuple[str, float], serial: str = "", **limits: float
-) -> TextStage:
+def opened(wire: Wire, description: Path, *axes: tuple[str, float], serial: str = "") -> TextStage:
     """Open a stage of these axes: addresses and counts per degree."""
     protocol = read_document(description, StageProtocol).value.for_driver()
-    limit = AxisLimits(
-        **{"lowest_deg": -15.0, "highest_deg": 15.0, "speed_deg_s": SPEED, "acceleration_deg_s2": 1e3}
-        | limits
-    )
+    limits = AxisLimits(-15.0, 15.0, SPEED, 1e3)
     described = [
-        TextAxis(name=name, limits=limit, address=address, counts_per_deg=scale)
+        TextAxis(name=name, limits=limits, address=address, counts_per_deg=scale)
         for name, (address, scale) in zip(("pan", "tilt"), axes, strict=False)
     ]
     return TextStage(wire, described, protocol, serial=serial, clock=wire.clock)

@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 
 import pytest
-from own_disk import Disk
 
 from bench.base.clock import BenchClock
 from bench.record.journal import Journal, read_journal, stored_captures
@@ -50,13 +49,6 @@ while True:
     for number in range(NOTES):
         journal.put("on_the_way", {"number": number, "text": "y" * 900}, synced=False)
 """
-
-
-@pytest.fixture
-def disk(tmp_path):
-    disk = Disk(tmp_path, megabytes=512)  # for what a fast computer writes in eight seconds
-    yield disk
-    disk.close()
 
 
 def wait_until_stopped(pid):

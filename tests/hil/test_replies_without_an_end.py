@@ -4,14 +4,12 @@ import re
 
 import pytest
 
-from bench.stations.text_descriptions import StageProtocol
 from drivers.described.line import DescribedLine
 from drivers.errors import DriverError
-from drivers.stage import AxisLimits
-from drivers.stage.text import TextAxis, TextStage
-from sequences.reader import read_document
+from drivers.stage.text import TextStage
 from tests.hil.direct_stages import VirtualClock
-from tests.hil.text_wire import LINES, SPEED, Motor, Wire, described
+from tests.hil.test_described_stages_of_users import opened
+from tests.hil.text_wire import LINES, Motor, Wire, described
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -49,16 +47,13 @@ def vxm(clock: VirtualClock) -> tuple[Wire, Motor]:
     return wire, motor
 
 
-def opened() -> tuple[TextStage, Wire, Motor]:
+def opened_vxm() -> tuple[TextStage, Wire, Motor]:
     wire, motor = vxm(VirtualClock())
-    limits = AxisLimits(-15.0, 15.0, SPEED, 1e3)
-    axis = TextAxis(name="pan", limits=limits, address="X", counts_per_deg=SCALE, tolerance_deg=0.01)
-    protocol = read_document(described("vxm"), StageProtocol).value.for_driver()
-    return TextStage(wire, [axis], protocol, clock=wire.clock), wire, motor
+    return opened(wire, described("vxm"), ("X", SCALE)), wire, motor
 
 
 def test_a_stage_whose_state_is_a_letter_without_an_end_is_driven() -> None:
-    stage, wire, motor = opened()
+    stage, wire, motor = opened_vxm()
     assert motor.position_deg == 2.0  # opening moves nothing
     assert not any("M" in request and "," in request for request in wire.sent)
     stage.home()
@@ -70,7 +65,7 @@ def test_a_stage_whose_state_is_a_letter_without_an_end_is_driven() -> None:
 
 def test_a_reply_that_comes_in_two_pieces_is_one_reply() -> None:
     """The pause between two packets of a USB adapter is shorter than a silence."""
-    stage, wire, _ = opened()
+    stage, wire, _ = opened_vxm()
     stage.home()
     whole, held = wire.read, [b""]
 
@@ -88,7 +83,7 @@ def test_a_reply_that_comes_in_two_pieces_is_one_reply() -> None:
 
 
 def test_a_cut_position_gives_no_wrong_angle() -> None:
-    stage, wire, motor = opened()
+    stage, wire, motor = opened_vxm()
     stage.home()
     stage.move_to({"pan": 12.0})
     whole, cuts = wire.answer, [1]
@@ -111,7 +106,5 @@ def test_a_device_that_never_ends_a_reply_is_refused(monkeypatch) -> None:
     monkeypatch.setattr(DescribedLine, "longest_drain_s", 0.2)
     wire, _ = vxm(VirtualClock())
     wire.unasked = lambda: "0123456789" * 50
-    axis = TextAxis(name="pan", limits=AxisLimits(-15.0, 15.0, SPEED, 1e3), address="X", counts_per_deg=80.0)
-    protocol = read_document(described("vxm"), StageProtocol).value.for_driver()
     with pytest.raises(DriverError, match=r"without pause|as described|not a reply"):
-        TextStage(wire, [axis], protocol, clock=wire.clock)
+        opened(wire, described("vxm"), ("X", SCALE))

@@ -3,18 +3,10 @@
 import time
 
 import pytest
-from own_disk import Disk
 from quick_runs import write_queue, write_sequence, write_station
 from running import PATIENCE_S, journal, start
 
 STANDS_STILL_S = 12.0
-
-
-@pytest.fixture
-def disk(tmp_path):
-    disk = Disk(tmp_path, megabytes=512)
-    yield disk
-    disk.close()
 
 
 def stored(run):

@@ -12,17 +12,16 @@ from waiting import wait_until
 from drivers.clock import SystemClock
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
-from drivers.stage import AxisLimits, Stage
+from drivers.stage import Stage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.ximc import XimcAxis, XimcStage
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice
-from tests.hil.direct_stages import of_bench
+from tests.hil.direct_stages import LIMITS, of_bench
 
 PATIENCE_S = 60.0
-LIMITS = AxisLimits(-15.0, 15.0, 20.0, 100.0)
 
 
 class Tap:

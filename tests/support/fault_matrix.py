@@ -23,22 +23,11 @@ from bench.base.clock import VirtualClock
 from bench.record.events import Event
 from bench.record.journal import read_journal, stored_captures
 from bench.record.storage import sha256_of
+from bench.run import machine
+from bench.run.machine import END_STATES
 
-STATES = (
-    "preflight",
-    "homing",
-    "lighting",
-    "slewing",
-    "settling",
-    "recording",
-    "checking",
-    "backing_off",
-    "holding",
-    "parking",
-    "waiting",
-    "solving",
-    "reporting",
-    "aborting",
+STATES = tuple(
+    state for state in machine.STATES if state not in {"idle", "choosing", "recovering", *END_STATES}
 )
 DOCUMENT = Path(__file__).parents[2] / "docs" / "faults.md"
 END = "  - wait: {duration_s: 1}\n  - solve: {model: spherical, distortion: [k1]}\n  - report\n"

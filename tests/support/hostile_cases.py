@@ -88,14 +88,13 @@ def wrong_files(run: Path) -> Iterator[Case]:
             yield Case(f"{reader}:{wrong}", _file(given, name, write), named=named)
 
 
+def text(content: str | bytes) -> Callable[[Path], object]:
+    """Write this content to a path."""
+    return lambda path: path.write_text(content) if isinstance(content, str) else path.write_bytes(content)
+
+
 def spoilt_files() -> Iterator[Case]:
     """Files of the right kind with something wrong in them."""
-
-    def text(content):
-        return lambda path: (
-            path.write_text(content) if isinstance(content, str) else path.write_bytes(content)
-        )
-
     for name, content in YAML.items():
         for reader in ("plan-sequence", "plan-station", "batch-queue"):
             yield Case(f"{reader}:{name}", _file(*READERS[reader], text(content)))
@@ -128,7 +127,7 @@ def spoilt_files() -> Iterator[Case]:
 
 
 def _checked_in_a_sequence(folder: Path, content: str | bytes) -> list[str]:
-    (folder / "camera.yaml").write_bytes(content if isinstance(content, bytes) else content.encode())
+    text(content)(folder / "camera.yaml")
     (folder / "bad.yaml").write_text(
         "format: starbench/sequence/1\nname: Check\nsteps:\n  - light\n  - record\n"
         "  - check: {calibration: camera.yaml}\n  - report\n"
@@ -242,21 +241,6 @@ def odd_folders(run: Path) -> Iterator[Case]:
         (folder / "bad" / "again").symlink_to(".", target_is_directory=True)
         return ["runs", "bad"]
 
-    def odd_name(folder):
-        name = "\x1b]0;owned\x07\x1b[2J\n\u202etxt.csv"
-        (folder / name).write_text("1 2 3\n")
-        return ["calibrate", name]
-
-    def not_utf8(folder):
-        name = os.fsdecode(b"\xff\xfe.csv")
-        (folder / name).write_text("1 2 3\n")
-        return ["calibrate", name]
-
-    def odd_yaml_name(folder):
-        name = "a\nb\x1b[31m.yaml"
-        (folder / name).write_text("format: x\n")
-        return ["plan", name, "--station", "simulated"]
-
     def many_files(folder):
         (folder / "bad").mkdir()
         for number in range(3000):
@@ -276,14 +260,14 @@ def odd_folders(run: Path) -> Iterator[Case]:
             capture.symlink_to("/dev/zero")
         return ["calibrate", "bad"]
 
-    def options(*words):
-        return lambda folder: list(words)
-
     yield Case("folder:links", links, (0, 1, 2), named=False)
     yield Case("folder:contains-itself", contains_itself, (0, 1, 2), named=False)
-    yield Case("name:escape-sequences", odd_name, named=False)
-    yield Case("name:not-utf-8", not_utf8, named=False)
-    yield Case("name:yaml", odd_yaml_name, named=False)
+    for kind, reader, name, content in (
+        ("escape-sequences", "calibrate-points", "\x1b]0;owned\x07\x1b[2J\n\u202etxt.csv", "1 2 3\n"),
+        ("not-utf-8", "calibrate-points", os.fsdecode(b"\xff\xfe.csv"), "1 2 3\n"),
+        ("yaml", "plan-sequence", "a\nb\x1b[31m.yaml", "format: x\n"),
+    ):
+        yield Case(f"name:{kind}", _file(READERS[reader][0], name, text(content)), named=False)
     yield Case("folder:many-files", many_files, named=False)
     yield Case("folder:pipes", only_pipes, named=False)
     yield Case("folder:capture-elsewhere", capture_elsewhere, named=False)
@@ -300,7 +284,7 @@ def odd_folders(run: Path) -> Iterator[Case]:
         "undistort-underscore": ("undistort", "bad", "-o", "a", "--keep", "1_0"),
         "image-size": ("calibrate", "points.csv", "--image-size", "99999999999x1"),
     }.items():
-        yield Case(f"words:{name}", options(*words), named=False)
+        yield Case(f"words:{name}", lambda _folder, words=words: list(words), named=False)
 
 
 HOME_FILES = ("allowed_signers", "ledger.jsonl", "signing_key", "runs.sqlite", "outbox")
@@ -325,15 +309,11 @@ def homes(run: Path) -> Iterator[Case]:
 def controls(run: Path) -> Iterator[Case]:
     """Inputs that are right: they must be taken."""
 
-    def fine(folder):
-        (folder / "good.yaml").write_text(PLAIN)
-        return ["plan", "three_pose", "--station", "good.yaml"]
-
     def status(folder):
         _copy_run(run, folder / "good")
         return ["status", "good"]
 
-    yield Case("control:plan", fine, (0,))
+    yield Case("control:plan", _file(READERS["plan-station"][0], "good.yaml", text(PLAIN)), (0,))
     yield Case("control:status", status, (0,))
 
 

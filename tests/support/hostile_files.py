@@ -20,22 +20,9 @@ MANY = 10 << 30
 # ---------------------------------------------------------------- instead of any file
 
 
-def sparse(path, start=b""):
+def sparse(path):
     with path.open("wb") as file:
-        file.write(start)
         file.truncate(MANY)
-
-
-def fifo(path):
-    os.mkfifo(path)
-
-
-def device(path):
-    path.symlink_to("/dev/zero")
-
-
-def terminal(path):
-    path.symlink_to("/dev/ptmx")
 
 
 def unix_socket(path):
@@ -48,34 +35,10 @@ def unix_socket(path):
         os.chdir(here)
 
 
-def link_to_itself(path):
-    path.symlink_to(path.name)
-
-
-def link_to_nothing(path):
-    path.symlink_to("nothing/at/all")
-
-
 def chain_of_links(path):
     for number in range(60):
         (path.parent / f"link{number}").symlink_to(f"link{number + 1}")
     path.symlink_to("link0")
-
-
-def one_endless_line(path):
-    path.write_bytes(b"a" * 30_000_000)
-
-
-def random_bytes(path):
-    path.write_bytes(np.random.default_rng(7).bytes(100_000))
-
-
-def gzip_bomb(path):
-    path.write_bytes(gzip.compress(bytes(200_000_000), 9))
-
-
-def deep_json(path):
-    path.write_bytes(b"[" * 100_000)
 
 
 def xml_bomb(path):
@@ -88,22 +51,22 @@ WRONG = {
     "empty": lambda path: path.write_bytes(b""),
     "zeros": lambda path: path.write_bytes(bytes(10_000)),
     "one-nul": lambda path: path.write_bytes(b"\0"),
-    "random": random_bytes,
+    "random": lambda path: path.write_bytes(np.random.default_rng(7).bytes(100_000)),
     "text": lambda path: path.write_text("Dear reader, this is not what you expect.\n"),
     "utf-16": lambda path: path.write_text("format: starbench\n" * 50, encoding="utf-16"),
     "control": lambda path: path.write_bytes(b"a: \x1b]0;title\x07\x1b[2J\x9b\n"),
-    "endless-line": one_endless_line,
+    "endless-line": lambda path: path.write_bytes(b"a" * 30_000_000),
     "sparse": sparse,
     "folder": lambda path: path.mkdir(),
-    "fifo": fifo,
-    "device": device,
-    "terminal": terminal,
+    "fifo": os.mkfifo,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "terminal": lambda path: path.symlink_to("/dev/ptmx"),
     "socket": unix_socket,
-    "link-to-itself": link_to_itself,
-    "link-to-nothing": link_to_nothing,
+    "link-to-itself": lambda path: path.symlink_to(path.name),
+    "link-to-nothing": lambda path: path.symlink_to("nothing/at/all"),
     "chain-of-links": chain_of_links,
-    "gzip-bomb": gzip_bomb,
-    "deep-json": deep_json,
+    "gzip-bomb": lambda path: path.write_bytes(gzip.compress(bytes(200_000_000), 9)),
+    "deep-json": lambda path: path.write_bytes(b"[" * 100_000),
     "xml-bomb": xml_bomb,
     "huge-number": lambda path: path.write_text('{"r": ' + "9" * 5000 + "}\n"),
 }
@@ -159,10 +122,10 @@ def _chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def png(width, height, rows=0, filling=b"\0"):
+def png(width, height, rows=0):
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     packed = zlib.compressobj(1)
-    data = b"".join(packed.compress(b"\0" + filling * width) for _ in range(rows)) + packed.flush()
+    data = b"".join(packed.compress(bytes(1 + width)) for _ in range(rows)) + packed.flush()
     return b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", head) + _chunk(b"IDAT", data) + _chunk(b"IEND", b"")
 
 

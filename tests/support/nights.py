@@ -1,7 +1,8 @@
 """Batches in a test: a queue in a line, time that passes where somebody waits, workers that end as told."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
+from bench.base.clock import VirtualClock
 from bench.batch.batch import Batch, worker_command
 from bench.batch.supervisor import WorkerEnd
 from bench.record.events import Event
@@ -10,6 +11,7 @@ from bench.record.run_folder import RunFolder
 from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 
+BEGIN = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 JOB = "  - {{name: {}, sequence: three_pose, station: simulated{}}}\n"
 
 
@@ -22,22 +24,6 @@ def job_words(name, **words):
     return JobConfig(name=name, **{"sequence": "three_pose", "station": "simulated", **words})
 
 
-class NightClock:
-    """Time that passes only where somebody waits."""
-
-    def __init__(self):
-        self.now_s = 0.0
-
-    def monotonic(self):
-        return self.now_s
-
-    def utc_now(self):
-        return datetime(2026, 3, 1, 20, 0, tzinfo=UTC) + timedelta(seconds=self.now_s)
-
-    def sleep(self, seconds):
-        self.now_s += seconds
-
-
 def _nothing(_run):
     pass
 
@@ -48,18 +34,18 @@ class Workers:
     ``before`` and ``after`` are called with the folder of each run.
     """
 
-    def __init__(self, clock, *ends, run_s=600.0, before=_nothing, after=_nothing):
-        self.clock, self.ends, self.run_s, self.begun = clock, list(ends), run_s, []
+    def __init__(self, clock, *ends, before=_nothing, after=_nothing):
+        self.clock, self.ends, self.begun = clock, list(ends), []
         self.before, self.after = before, after
 
     def __call__(self, item, run, _log):
         self.before(run)
         word = worker_command(item, run)[0]
-        self.begun.append((word, run.name, self.clock.now_s))
+        self.begun.append((word, run.name, self.clock.monotonic()))
         if word == "run":
             with RunFolder.create(run) as folder, Journal.create(folder.journal_path, self.clock) as journal:
                 journal.append(Event.RUN_STARTED, id=run.name)
-        self.clock.sleep(self.run_s)
+        self.clock.sleep(600.0)
         self.after(run)
         end = self.ends.pop(0) if self.ends else "finished"
         if isinstance(end, BaseException):
@@ -69,7 +55,7 @@ class Workers:
 
 def night(folder, queue, *ends, clock=None, say=lambda _: None, before=_nothing, after=_nothing, **more):
     """A batch of a queue, and its workers."""
-    clock = clock or NightClock()
+    clock = clock or VirtualClock(BEGIN)
     workers = Workers(clock, *ends, before=before, after=after)
     return Batch(folder, queue, clock, say, workers, **more), workers
 

@@ -2,32 +2,22 @@
 
 import time
 
-from drivers.clock import SystemClock
+from turned_clock import TurnedClock
 
 
-class HurryingClock(SystemClock):
+class HurryingClock(TurnedClock):
     """Stands still until told to hurry; then every wait takes a second."""
 
-    def __init__(self):
-        self.now = 0.0
-        self.hurry = False
-
-    def monotonic(self):
-        return self.now
+    hurry = False
 
     def sleep(self, seconds):
-        self.now += 1.0 if self.hurry else 0.0
+        self.now_s += 1.0 if self.hurry else 0.0
 
 
-class SteppedClock(SystemClock):
+class SteppedClock(TurnedClock):
     """Goes on where a test says so; counts the rounds that a driver waits."""
 
-    def __init__(self):
-        self.now = 0.0
-        self.rounds = 0
-
-    def monotonic(self):
-        return self.now
+    rounds = 0
 
     def sleep(self, seconds):
         self.rounds += 1
@@ -41,4 +31,4 @@ class SteppedClock(SystemClock):
                 if time.monotonic() > deadline:
                     return
                 time.sleep(0.001)
-            self.now += 20.0
+            self.now_s += 20.0

@@ -59,7 +59,7 @@ def test_a_camera_that_computes_is_waited_for(peer, connect, tmp_path):
     camera = connect(clock=clock)
     peer.before_frame[2] = lambda: clock.let_pass(500, peer)
     assert camera.record(tmp_path / "pose.raw", 0.02).complete
-    assert clock.now == 500
+    assert clock.now_s == 500
 
 
 def test_a_camera_that_computes_is_not_waited_for_for_ever(peer, connect, tmp_path, monkeypatch):

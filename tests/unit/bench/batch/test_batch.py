@@ -7,10 +7,10 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from nights import JOB, NightClock, begun, hows, night, queue
+from nights import BEGIN, JOB, begun, hows, night, queue
 from quick_runs import write_queue
 
-from bench.base.clock import Aborted
+from bench.base.clock import Aborted, VirtualClock
 from bench.base.errors import RunFolderError, ScriptError, UsageError
 from bench.batch.batch import worker_command
 from bench.batch.batch_plan import plan_of, read_queue
@@ -64,7 +64,7 @@ def cut_off(folder, jobs, *ends):
 
 def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path):
     jobs = queue(("a", ", settings: {station.camera.biases.bias_diff_on: 20, sequence.name: 'x, y'}"))
-    (item,) = items_of(jobs.value.jobs, NightClock().utc_now())
+    (item,) = items_of(jobs.value.jobs, BEGIN)
     words = worker_command(item, tmp_path / "a")
     assert words[-4:] == ["--set", "station.camera.biases.bias_diff_on=20", "--set", "sequence.name=x, y"]
     path = tmp_path / "queue.yaml"
@@ -152,7 +152,7 @@ def test_a_queue_is_checked_with_all_it_names_before_anything_runs(tmp_path):
 )
 def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, begun_times, how):
     """The run dies five times; some of its processes have recorded one more pose."""
-    clock = NightClock()
+    clock = VirtualClock(BEGIN)
 
     def record(run):
         pose = len(workers.begun)
@@ -185,8 +185,8 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     jobs = queue(("a", ""), ("late", ', priority: 9, start_at: "20:05"'))
     top = check_document(jobs.text.replace(b"jobs:", b"zone: UTC\njobs:", 1), "queue.yaml", Queue)
     cut_off(tmp_path, top)
-    clock, seen = NightClock(), []
-    clock.now_s = 900.0  # 20:15: the other one is due, and comes first
+    clock, seen = VirtualClock(BEGIN), []
+    clock.sleep(900.0)  # 20:15: the other one is due, and comes first
     monkeypatch.setattr("bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}"))
     monkeypatch.setattr(
         "bench.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
@@ -229,7 +229,7 @@ def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_ki
 # ---------------------------------------------------------------- the time of the system
 
 
-class MovedClock(NightClock):
+class MovedClock(VirtualClock):
     """A clock that somebody sets, or whose computer sleeps or starts anew: one of its times goes on by so much."""
 
     set_by_s = moved_s = 0.0
@@ -243,7 +243,7 @@ class MovedClock(NightClock):
 
 def runs_on_a_moved_clock(folder, jobs, **moved):
     """How many runs a batch begins whose clock moves during its first; that one is known to have taken 10 minutes."""
-    clock = MovedClock()
+    clock = MovedClock(BEGIN)
     batch, workers = night(folder, jobs, clock=clock, after=lambda _: vars(clock).update(moved))
     batch.run()
     assert read_batch(folder).runs["a-001"].ended[0].duration_s == pytest.approx(600.0, abs=1.0)

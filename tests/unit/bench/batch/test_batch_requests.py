@@ -6,9 +6,10 @@ from datetime import UTC, datetime
 
 import pytest
 from locking_process import locking, suspend
-from nights import NightClock, begun, hows, job_words, night, queue
+from nights import BEGIN, begun, hows, job_words, night, queue
 from waiting import wait_until
 
+from bench.base.clock import VirtualClock
 from bench.base.errors import RunFolderError, ScriptError
 from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
 from bench.batch.batch_status import batch_status_text, read_batch_status
@@ -107,10 +108,10 @@ def test_what_is_no_request_is_answered_and_removed(tmp_path):
 
 
 def test_a_job_added_at_midnight_counts_its_repetitions_from_then(tmp_path):
-    clock, leave_all = NightClock(), leaves(tmp_path, add("late", times=2, every_min=60))
+    clock, leave_all = VirtualClock(BEGIN), leaves(tmp_path, add("late", times=2, every_min=60))
 
     def at_midnight(run):
-        clock.now_s = max(clock.now_s, 4 * 3600.0)
+        clock.sleep(4 * 3600.0 - clock.monotonic())
         leave_all(run)
 
     batch, workers = one_run(tmp_path, clock=clock, before=at_midnight)
@@ -153,7 +154,7 @@ def test_a_request_carries_what_its_word_needs(words):
 
 
 def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
-    clock, looks = NightClock(), []
+    clock, looks = VirtualClock(BEGIN), []
 
     def look(_run):
         looks.append(read_batch_status(tmp_path, clock.utc_now))
@@ -177,7 +178,7 @@ def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
 
 
 def test_a_batch_whose_process_is_suspended_is_told_as_such_and_how_it_continues(tmp_path):
-    clock = NightClock()
+    clock = VirtualClock(BEGIN)
     night(tmp_path, queue(("a", ", times: 2")), clock=clock)[0].run()
     with locking(tmp_path) as process:
         suspend(process)
