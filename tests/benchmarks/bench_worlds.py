@@ -7,7 +7,7 @@ Each result is a line of JSON in the file; a later run with the same file goes o
 engine is used through `calib.calibrate` only, so the same program judges another
 checkout: `PYTHONPATH=CHECKOUT python .../bench_worlds.py`. ``--quick`` takes few seeds, 3 and 9 poses, some 2 CPU
 minutes. The world `stranger` needs Optiland; 0 poses: the seed decides. ``--table`` prints the table of a file and
-calibrates nothing; ``--page`` prints the short one of docs/measured. The seeds decide everything that is drawn.
+calibrates nothing. The seeds decide everything that is drawn.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from typing import Any
 import measured
 from worlds.catalogue import WORLDS, result
 from worlds.knowledge import KNOWN
-from worlds.scores import page, table
+from worlds.scores import table
 
 import calib
 
@@ -40,7 +40,6 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--table", action="store_true", help="print the table of the file only")
-    parser.add_argument("--page", action="store_true", help="print the short table of docs/measured")
     given = parser.parse_args()
     if given.quick:
         vars(given).update(QUICK)
@@ -52,7 +51,7 @@ def main() -> None:
         measured.add_missing(given.output, done, asked(given), judged, given.jobs)
     wanted = set(asked(given))
     lines = [line for key, line in done.items() if key in wanted or given.table]
-    print((page if given.page else table)(lines))
+    print(table(lines))
 
 
 def asked(given: argparse.Namespace) -> Iterator[Key]:

@@ -1,12 +1,16 @@
 """What tests of whole devices and runs share: a browser, a home, a run of three poses, a disk, a turned clock."""
 
+import time
+
 import pytest
 from align_browser import running_chromium
 from own_disk import Disk
 from running import called
 from shared_folder import shared_folder
 
-from tests.hil.direct_stages import VirtualClock
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from tests.hil.direct_stages import VirtualClock, of_one_port
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +43,14 @@ def disk(tmp_path):
     disk = Disk(tmp_path)
     yield disk
     disk.close()
+
+
+@pytest.fixture
+def zaber_port(tmp_path):
+    """The port of two chained Zaber controllers."""
+    chain, _ = of_one_port("zaber", time.monotonic)
+    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), chain) as device:
+        yield device.address
 
 
 @pytest.fixture

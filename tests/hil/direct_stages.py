@@ -4,6 +4,7 @@ Bytes pass straight from a driver to a simulated device behind a line of faults:
 """
 
 import math
+import re
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -143,6 +144,11 @@ class DirectLine:
                 event()
 
         self.before = before
+
+    def turn(self, asked: str, done: str) -> None:
+        """Let the device do something else than it is asked: a pattern in a request, and what stands for it."""
+        receive = self.device.receive
+        self.device.receive = lambda data: receive(re.sub(asked.encode(), done.encode(), data))
 
     def close(self) -> None:
         self.closed = True

@@ -3,23 +3,10 @@
 import json
 import os
 import subprocess
-import time
 from functools import partial
 
-import pytest
 import serial
 from running import answer_of, start_python
-
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
-from tests.hil.direct_stages import of_bench
-
-
-@pytest.fixture
-def device(tmp_path):
-    chain, _ = of_bench("zaber", 6400)(time.monotonic)
-    with SerialDevice(PseudoTerminal(tmp_path / "device"), chain) as device:
-        yield device
 
 
 def start(port: str, link) -> subprocess.Popen[str]:
@@ -27,8 +14,8 @@ def start(port: str, link) -> subprocess.Popen[str]:
     return start_python("-m", "simulators.fault_line", *words, stdin=subprocess.PIPE)
 
 
-def test_it_passes_everything_on_and_spoils_what_it_is_told_to(device: SerialDevice, tmp_path):
-    process = start(device.address, tmp_path / "spoilt")
+def test_it_passes_everything_on_and_spoils_what_it_is_told_to(zaber_port: str, tmp_path):
+    process = start(zaber_port, tmp_path / "spoilt")
     link = json.loads(process.stdout.readline())["link"]
     say = partial(answer_of, process)
     with serial.Serial(link, 115_200, timeout=2.0) as line:

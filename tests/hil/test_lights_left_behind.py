@@ -104,7 +104,7 @@ def test_every_modulation_that_a_generator_has_is_ended_and_read_back(
 def test_what_stays_on_although_the_command_was_accepted_is_refused_by_its_name(left, ignored, fault) -> None:
     bench = Bench("numbered", modulations=("PWM",))
     bench.device.leave(left)
-    bench.turn(ignored, "")
+    bench.line.turn(ignored, "")
     with pytest.raises(SettingRefused, match=fault):
         bench.open().apply(FLICKER)
 
@@ -189,8 +189,7 @@ def test_a_lamp_that_an_input_may_switch_on_is_not_said_to_be_off() -> None:
 
 def test_a_controller_that_ignores_triggers_for_longer_than_a_period_is_refused() -> None:
     rig = Rig("gardasoft", "retrigger")
-    receive = rig.line.device.receive
-    rig.line.device.receive = lambda data: receive(data.replace(b"60.0,0\r", b"60.0\r"))
+    rig.line.turn("60.0,0\r", "60.0\r")
     with pytest.raises(SettingRefused, match=r"retrigger delay: .* 0\.0000 ms, .* 500\.0000 ms"):
         rig.light.apply(FLICKER)
 

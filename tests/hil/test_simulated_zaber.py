@@ -1,14 +1,11 @@
 """The simulated Zaber gimbal, driven by the maker's own client, and byte by byte."""
 
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import serial
 
-from simulators.ports.pseudo_terminal import PseudoTerminal
-from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import MotionFault
 from simulators.stages.zaber import checksum
 from tests.hil.direct_stages import of_one_port
@@ -55,21 +52,14 @@ def homed(gimbal: Gimbal) -> Gimbal:
     return gimbal
 
 
-@pytest.fixture
-def port(tmp_path) -> Iterator[SerialDevice]:
-    chain, _ = of_one_port("zaber", time.monotonic)
-    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), chain) as device:
-        yield device
-
-
 # ---------------------------------------------------------------- the maker's client
-def test_the_makers_client_detects_homes_moves_stops_and_reads(port: SerialDevice, tmp_path) -> None:
+def test_the_makers_client_detects_homes_moves_stops_and_reads(zaber_port: str, tmp_path) -> None:
     ascii_ = pytest.importorskip("zaber_motion.ascii", reason="the maker's client is not installed")
     from zaber_motion import Library
     from zaber_motion.exceptions import BadDataException, CommandFailedException
 
     Library.enable_device_db_store(str(tmp_path))
-    with ascii_.Connection.open_serial_port(port.address) as connection:
+    with ascii_.Connection.open_serial_port(zaber_port) as connection:
         devices = connection.detect_devices(identify_devices=False)
         assert [device.device_address for device in devices] == [1, 2]
         pan, tilt = (device.get_axis(1) for device in devices)
@@ -99,13 +89,13 @@ def test_the_makers_client_detects_homes_moves_stops_and_reads(port: SerialDevic
         assert devices[1].generic_command("get system.serial").data == "100102"
 
 
-def test_the_makers_client_sees_a_move_interrupted_by_another(port: SerialDevice, tmp_path) -> None:
+def test_the_makers_client_sees_a_move_interrupted_by_another(zaber_port: str, tmp_path) -> None:
     ascii_ = pytest.importorskip("zaber_motion.ascii", reason="the maker's client is not installed")
     from zaber_motion import Library
     from zaber_motion.exceptions import MovementInterruptedException
 
     Library.enable_device_db_store(str(tmp_path))
-    with ascii_.Connection.open_serial_port(port.address) as connection:
+    with ascii_.Connection.open_serial_port(zaber_port) as connection:
         axis = connection.get_device(1).get_axis(1)
         axis.home()
         with ThreadPoolExecutor() as pool:
@@ -174,20 +164,20 @@ def test_a_stall_stops_the_axis_and_raises_its_flag_until_cleared(homed: Gimbal)
 
 
 # ---------------------------------------------------------------- the line
-def test_bytes_take_their_time_on_the_line(port: SerialDevice):
-    with serial.Serial(port.address, 115_200, timeout=5.0) as line:
+def test_bytes_take_their_time_on_the_line(zaber_port: str):
+    with serial.Serial(zaber_port, 115_200, timeout=5.0) as line:
         begun = time.monotonic()
         line.write(b"/0 0 00\n")
         answer = line.read_until(b"\n") + line.read_until(b"\n")
         assert time.monotonic() - begun >= (8 + len(answer)) * 10 / 115_200
 
 
-def test_a_wrong_baud_rate_is_garbage(port: SerialDevice):
-    with serial.Serial(port.address, 9600, timeout=0.2) as line:
+def test_a_wrong_baud_rate_is_garbage(zaber_port: str):
+    with serial.Serial(zaber_port, 9600, timeout=0.2) as line:
         line.write(b"/0 0 00 home\n")
         answer = line.read(100)
         assert len(answer) == 13
         assert not answer.isascii()
-    with serial.Serial(port.address, 115_200, timeout=5.0) as line:
+    with serial.Serial(zaber_port, 115_200, timeout=5.0) as line:
         line.write(b"/1 1 00\n")
         assert line.read_until(b"\n").startswith(b"@01 1 00 OK IDLE WR")

@@ -32,17 +32,13 @@ GRID = [[30.0, 1.0, 20.0], [-1.0, 30.0, 10.0], [0.0, 0.0, 1.0]]
 class MadeRun:
     """A run folder whose journal a test writes line by line.
 
-    begin: Time of the first line.
     prompt: Whether a question comes before the calibration.
     """
 
-    def __init__(
-        self, folder: Path, poses: int = 3, *, begin: datetime = BEGIN, prompt: bool = False
-    ) -> None:
+    def __init__(self, folder: Path, poses: int = 3, *, prompt: bool = False) -> None:
         self.folder, self.poses = folder, poses
         self.path = folder / "journal.jsonl"
-        self._begin, self._now_s = begin, 0.0
-        self._seq, self._prev = 0, FIRST_PREV
+        self._now_s, self._seq, self._prev = 0.0, 0, FIRST_PREV
         (folder / "captures").mkdir(parents=True)
         (folder / "plan.json").write_text(json.dumps(_plan(poses, prompt)))
         self.path.touch()
@@ -50,7 +46,7 @@ class MadeRun:
     def line(self, event: str, **data: Any) -> bytes:
         """The next line, with its line feed, without writing it; 0.1 s after the one before."""
         self._now_s += 0.1
-        moment = self._begin + timedelta(seconds=self._now_s)
+        moment = BEGIN + timedelta(seconds=self._now_s)
         line = encode_line(self._seq, moment, self._now_s, event, data, self._prev)
         self._prev, self._seq = decode_line(line, self._seq, self._prev).hash, self._seq + 1
         return line + b"\n"

@@ -1,7 +1,11 @@
-"""Calls of the system that are refused, to be put in place of the real ones."""
+"""Calls of the system that are refused, to be put in place of the real ones; and documents that are."""
 
 import errno
 import os
+
+import pytest
+
+from sequences.errors import DocumentFaults
 
 
 def full(*_args, **_more):
@@ -10,3 +14,10 @@ def full(*_args, **_more):
 
 def denied(path, *_args, **_more):
     raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+
+def faults_of(read, *words):
+    """Call what must refuse a document; return each of its faults as text."""
+    with pytest.raises(DocumentFaults) as refused:
+        read(*words)
+    return [str(fault) for fault in refused.value.faults]

@@ -36,16 +36,6 @@ class Screen(Strict):
     f_number: float = 2.8
 
 
-class Motion(Strict):
-    """How the board moves before the camera in the method ``reconstruction``, and the filter."""
-
-    speed_px_s: float = 1000.0
-    way_px: float = 100.0
-    angle_deg: float | None = None  # To the edges of the board; drawn from 20 to 70 degrees if not given
-    cutoff_hz: float = 10.0
-    two_sided: bool = True  # False: the filter as published, of earlier events only
-
-
 class Column(Strict):
     """One column of the table: a method on a bench."""
 
@@ -61,7 +51,7 @@ class Column(Strict):
     readings: bool = False  # The readings of the gimbal, with the bounds of parallax
     lens: str = "k1k2"
     board: Screen = Screen()
-    motion: Motion = Motion()
+    two_sided: bool = True  # False: ``reconstruction`` by the filter as published, of earlier events only
 
     @model_validator(mode="after")
     def _enough_images(self) -> Column:

@@ -11,41 +11,36 @@ from virtual_camera import VirtualCamera
 from calib.events.reconstruction import reconstruct
 from calib.model.rotation import exp_map
 
-from .columns import Column
-
 Pose = tuple[tuple[float, float, float], tuple[float, float, float]]
 
-#: Motion of the picture in a step of the simulation, px.
-_STEP_PX = 2.5
+#: How far the board moves in the picture, px, and in a step of the simulation.
+WAY_PX, _STEP_PX = 100.0, 2.5
+_SPEED_PX_S = 1000.0
+_CUTOFF_HZ = 10.0
+#: Between the way and the edges of the board.
 _OBLIQUE_DEG = (20.0, 70.0)
 _TURN_DEG_S = 10.0
 
 
-def reach_px(column: Column) -> float:
-    """Return how far the board moves in the picture to either side of its place: half the way, px."""
-    return column.motion.way_px / 2.0
-
-
 def record_moving(
-    column: Column, section: dict[str, Any], focal_px: float, seed: int, number: int
+    section: dict[str, Any], focal_px: float, seed: int, number: int
 ) -> dict[bool, NDArray[np.float32]]:
     """Record a board that moves evenly through its placement, and reconstruct its picture there.
 
     Pictures are (H, W) float32: two-sided (True), and of the filter as published (False).
     """
-    motion = column.motion
     rng = np.random.default_rng((seed, 31, number))
     turn = np.array(section["screen"]["turn_deg"])
-    angle = motion.angle_deg if motion.angle_deg is not None else rng.uniform(*_OBLIQUE_DEG)
+    angle = rng.uniform(*_OBLIQUE_DEG)
     rows = exp_map(np.radians(turn))[:, 0]
     direction = math.atan2(rows[1], rows[0]) + math.radians(angle) + 0.5 * math.pi * rng.integers(4)
-    duration_us = 1e6 * motion.way_px / motion.speed_px_s
+    duration_us = 1e6 * WAY_PX / _SPEED_PX_S
     middle_us = 0.5 * duration_us
     seen = VirtualCamera(section, seed).capture_moving(
-        _even_motion(section["screen"], direction, motion.speed_px_s / focal_px, middle_us, rng),
+        _even_motion(section["screen"], direction, _SPEED_PX_S / focal_px, middle_us, rng),
         duration_us,
         seed=1000 * seed + number,
-        frame_us=1e6 * _STEP_PX / motion.speed_px_s,
+        frame_us=1e6 * _STEP_PX / _SPEED_PX_S,
     )
     times_us = seen.events[0]
     earlier = tuple(
@@ -53,7 +48,7 @@ def record_moving(
     )  # The filter as published knows no later ones
     pictures = {}
     for two_sided, events in ((True, seen.events), (False, earlier)):
-        (picture,) = reconstruct([events], seen.image_size, [middle_us], cutoff_hz=motion.cutoff_hz)
+        (picture,) = reconstruct([events], seen.image_size, [middle_us], cutoff_hz=_CUTOFF_HZ)
         pictures[two_sided] = picture.image if two_sided else 2.0 * picture.image
     return pictures
 

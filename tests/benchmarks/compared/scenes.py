@@ -24,7 +24,7 @@ from tests.benchmarks.worlds.bench import Bench
 from tests.benchmarks.worlds.knowledge import views_of
 
 from .columns import STAR_METHODS, Column
-from .moving import reach_px, record_moving
+from .moving import WAY_PX, record_moving
 from .strangers import camera_model, stranger_bench
 
 #: Largest angles of the poses, degrees: as those of the included sequences.
@@ -58,15 +58,12 @@ def recordings_key(column: Column) -> tuple[Any, ...]:
         key = ("stars", column.collimator, column.noise, column.images)
         return (*key, "reference") if column.known_collimator else key
     board = ("board", column.noise, column.images, *column.board.model_dump().values())
-    if column.method != "reconstruction":
-        return board
-    motion = column.motion
-    return ("moving", *board, motion.speed_px_s, motion.way_px, motion.angle_deg, motion.cutoff_hz)
+    return ("moving", *board) if column.method == "reconstruction" else board
 
 
 def finding_key(column: Column) -> tuple[Any, ...]:
     """Return what the search for the target depends on, besides the recordings."""
-    return (column.method == "reconstruction" and column.motion.two_sided,)
+    return (column.method == "reconstruction" and column.two_sided,)
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ def find_targets(column: Column, recorded: Recordings) -> Images:
     chosen = column.board
     board = Board("checkerboard", chosen.columns, chosen.rows, chosen.square_mm)
     target, stars = StarTarget(), column.method in STAR_METHODS
-    published = column.method == "reconstruction" and not column.motion.two_sided
+    published = column.method == "reconstruction" and not column.two_sided
     shown = recorded.one_sided if published else recorded.images
     views, kept, missed = [], [], []
     for number, (image, name) in enumerate(zip(shown, recorded.names, strict=True)):
@@ -170,14 +167,14 @@ def _record_boards(column: Column, seed: int) -> Recordings:
     truth = VirtualCamera({}, seed).truth()
     camera = true_camera(truth["camera"])
     moving = column.method == "reconstruction"
-    margin_px = _MARGIN_PX + (reach_px(column) if moving else 0.0)
+    margin_px = _MARGIN_PX + (WAY_PX / 2.0 if moving else 0.0)
     images, one_sided, names = [], [], []
     for number in range(1, column.images + 1):
         placed = _placement(column, camera, rng, margin_px)
         section = {"noise": column.noise, **_lens_section(column), "screen": placed}
         section["optics"] = {"mounting_deg": [0.0, 0.0, 0.0]}
         if moving:
-            pictures = record_moving(column, section, camera.fx, seed, number)
+            pictures = record_moving(section, camera.fx, seed, number)
             images.append(pictures[True])
             one_sided.append(pictures[False])
         else:

@@ -133,10 +133,6 @@ def _readings_of(change: Callable[[Array], Array]) -> Change:
     return changed
 
 
-def _certificate(bench: Bench, _: np.random.Generator) -> Bench:
-    return statement(r_mm=lambda r: 1.01 * r)(bench)
-
-
 def _mirrored(bench: Bench, _: np.random.Generator) -> Bench:
     return views(lambda _i, view: replace(view, px=[SIZE[0] - 1, 0] + view.px * [-1, 1]))(bench)
 
@@ -159,7 +155,9 @@ MISTAKES: Mapping[str, Mistake] = {
     "pitch 4 instead of 4.0139 mm": Mistake(_pitch(4.0 / 4.0139), (kinds.SCALED,)),
     "another target, pitch 8 % smaller": Mistake(_pitch(1.0 / 0.92), (kinds.SCALED,)),
     "another target, pitch 25 % larger": Mistake(_pitch(0.8), (kinds.SCALED,), "pitch"),
-    "certificate of another collimator": Mistake(_certificate, (kinds.SCALED,)),
+    "certificate of another collimator": Mistake(
+        lambda bench, _: statement(r_mm=lambda r: 1.01 * r)(bench), (kinds.SCALED,)
+    ),
     "pan slips by 0.3 degrees": Mistake(_slip("pan_deg", 0.3), (kinds.SLIPPED,)),
     "tilt slips by 0.05 degrees": Mistake(_slip("tilt_deg", 0.05), (kinds.SLIPPED,)),
     "sign of pan": Mistake(_scale("pan_deg", -1.0), (kinds.REVERSED,)),

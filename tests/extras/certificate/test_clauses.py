@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 import yaml
 from certificate_sample import LAB, identity, sample_lab
+from refusals import faults_of
 from sealed_bench import sample_results
 
 from bench.extras.certificate.clauses import faults_of_lab, unanswered
 from bench.extras.certificate.compose import compose
 from bench.extras.certificate.lab_config import EXAMPLE, LabConfig
-from sequences.errors import DocumentFaults
 from sequences.reader import read_document
 
 NUMBERS = 'numbers: {format: "SB-{year}-{number:05d}"}'
@@ -50,9 +50,7 @@ def test_a_reference_without_number_date_or_issuer_is_named():
 
 
 def test_the_example_has_every_section_and_names_every_placeholder():
-    with pytest.raises(DocumentFaults) as refused:
-        read_document(EXAMPLE, LabConfig)
-    lines = [str(fault) for fault in refused.value.faults]
+    lines = faults_of(read_document, EXAMPLE, LabConfig)
     assert len(lines) == EXAMPLE.read_text(encoding="utf-8").split("laboratory:", 1)[1].count("REPLACE")
     assert all("REPLACE" in line or "replace this placeholder" in line for line in lines)
 
@@ -98,9 +96,7 @@ def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
 )
 def test_a_fault_of_lab_yaml_is_named_with_its_place(old, new, named):
     assert old in LAB
-    with pytest.raises(DocumentFaults) as refused:
-        sample_lab(LAB.replace(old, new))
-    lines = [str(fault) for fault in refused.value.faults]
+    lines = faults_of(sample_lab, LAB.replace(old, new))
     assert any(named in line and line.startswith("lab.yaml:") for line in lines), lines
 
 

@@ -1,14 +1,13 @@
 """A laboratory that issues certificates from a sealed run, for tests and benchmarks."""
 
-import pytest
 from certificate_sample import LAB, verified
+from refusals import faults_of
 from sealed_bench import SealedBench
 
 from bench.evidence.keys import ensure_key
 from bench.extras.certificate.amend import amend
 from bench.extras.certificate.issue import Issuer, issue
 from bench.extras.certificate.series import numbers
-from sequences.errors import DocumentFaults
 
 FIRST = "SIMULATED-SB-2026-00001"
 
@@ -38,10 +37,9 @@ class Lab(SealedBench):
 
     def faults(self, text):
         self.lab.write_text(text, encoding="utf-8")
-        with pytest.raises(DocumentFaults) as refused:
-            self.issue()
+        faults = faults_of(self.issue)
         assert self.numbers() == {}, "a number was taken for a refused certificate"
-        return [str(fault) for fault in refused.value.faults]
+        return faults
 
 
 def quick_files(certificate, content, results, lab, plots):

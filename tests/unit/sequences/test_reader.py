@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import pytest
 from pydantic import Field
+from refusals import faults_of
 
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document, find_document, read_document
@@ -32,9 +33,7 @@ class Table(StrictModel):
 
 
 def faults(text: str, model=Table) -> list[str]:
-    with pytest.raises(DocumentFaults) as caught:
-        check_document(text.encode(), "t.yaml", model)
-    return [str(fault) for fault in caught.value.faults]
+    return faults_of(check_document, text.encode(), "t.yaml", model)
 
 
 def test_a_document_keeps_its_bytes_and_its_places():
@@ -165,9 +164,8 @@ def test_a_document_cut_off_by_a_syntax_error_is_not_blamed_for_what_was_not_rea
 
 def test_a_file_that_is_not_there_is_a_folder_or_cannot_be_read_is_one_fault(tmp_path):
     def fault_of(path) -> str:
-        with pytest.raises(DocumentFaults) as caught:
-            read_document(path, Table)
-        return str(caught.value)
+        (fault,) = faults_of(read_document, path, Table)
+        return fault
 
     assert fault_of(tmp_path / "no.yaml").startswith(f"{tmp_path}/no.yaml: ")
     assert fault_of(tmp_path).startswith(f"{tmp_path}: this is a folder")

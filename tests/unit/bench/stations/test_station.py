@@ -5,19 +5,17 @@ from pathlib import Path
 
 import pytest
 from filled_stations import filled_example
+from refusals import faults_of
 from station_texts import PLAIN, document_of, station_of
 
 from bench.stations.stages_and_lights import ScpiLightConfig
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from drivers.light import LightSettings
-from sequences.errors import DocumentFaults
 from sequences.script import Flicker
 
 
 def faults(text: str) -> list[str]:
-    with pytest.raises(DocumentFaults) as caught:
-        document_of(text)
-    return [str(fault) for fault in caught.value.faults]
+    return faults_of(document_of, text)
 
 
 def changed(old: str, new: str) -> str:

@@ -1,6 +1,5 @@
 """A simulated generator of each make on a line, and the driver for it."""
 
-import re
 from collections.abc import Mapping
 
 from drivers.light.scpi import ScpiLight
@@ -49,8 +48,3 @@ class Bench:
         self.line.spoil = lambda reply: (
             f"{answers[asked]}\n".encode() if (asked := self.sent()[-1].rstrip("?")) in answers else reply
         )
-
-    def turn(self, asked: str, done: str) -> None:
-        """Let the generator do something else than it is asked."""
-        receive = self.line.device.receive
-        self.line.device.receive = lambda data: receive(re.sub(asked.encode(), done.encode(), data))

@@ -33,11 +33,6 @@ class Bench:
     def lit(self) -> bool:
         return self.states[-1].output
 
-    def turn(self, asked: str, done: str) -> None:
-        """Let the controller do something else than it is asked."""
-        receive = self.line.device.receive
-        self.line.device.receive = lambda data: receive(data.replace(asked.encode(), done.encode()))
-
 
 @pytest.fixture
 def bench() -> Bench:
@@ -98,7 +93,7 @@ def test_a_sync_without_a_channel_for_it_is_refused(bench) -> None:
 
 
 def test_a_setting_that_does_not_stick_is_refused_with_both_values(light, bench) -> None:
-    bench.turn("RT1,5.0000", "RT1,4.9000")
+    bench.line.turn("RT1,5.0000", "RT1,4.9000")
     with pytest.raises(SettingRefused, match=r"pulse width: .* 5\.0000 ms, .* 4\.9000 ms"):
         light.apply(FLICKER)
 
@@ -110,11 +105,11 @@ def test_a_channel_that_shines_steadily_is_no_flicker(light) -> None:
 
 def test_a_trigger_that_does_not_obey_is_a_fault(light, bench) -> None:
     light.apply(FLICKER)
-    bench.turn("TT1", "")
+    bench.line.turn("TT1", "")
     with pytest.raises(LightFault, match="does not run"):
         light.on()
     bench.device.receive(b"TT1\r")
-    bench.turn("TT0", "")
+    bench.line.turn("TT0", "")
     with pytest.raises(LightFault, match="still runs"):
         light.off()
 
@@ -138,6 +133,6 @@ def test_a_steady_light_that_burns_takes_another_level_at_once(light, bench) -> 
 
 def test_a_steady_light_that_the_controller_holds_lower_is_refused(light, bench) -> None:
     light.apply(LightSettings("steady", high_v=2.5))
-    bench.turn("RS1,50.0", "RS1,40.0")
+    bench.line.turn("RS1,50.0", "RS1,40.0")
     with pytest.raises(SettingRefused, match=r"50\.0 %"):
         light.on()

@@ -23,7 +23,7 @@ def test_a_generator_without_such_modes_is_not_asked_for_them_again() -> None:
 @OTHERS
 def test_a_generator_without_a_polarity_of_sync_is_not_said_to_have_it(dialect) -> None:
     bench = Bench(dialect)
-    bench.turn("OUTP1:SYNC:POL", "OUTP1:SYNC:POX")
+    bench.line.turn("OUTP1:SYNC:POL", "OUTP1:SYNC:POX")
     assert bench.open().sync_polarity().startswith("not stated")
 
 
@@ -101,5 +101,5 @@ def test_a_load_that_is_not_taken_is_refused(dialect, header, infinite, fifty, l
 
 def test_a_generator_that_does_not_tell_its_load_is_believed() -> None:
     bench = Bench()
-    bench.turn("OUTP:LOAD\\?", "OUTP:LOAF?")
+    bench.line.turn("OUTP:LOAD\\?", "OUTP:LOAF?")
     assert bench.open().apply(LightSettings(frequency_hz=60.0)).frequency_hz == 60.0

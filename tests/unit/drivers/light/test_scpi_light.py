@@ -61,7 +61,7 @@ def test_a_value_clipped_in_silence_is_refused_with_both_values() -> None:
 
 def test_a_generator_without_load_setting_is_told_how_to_be_named(light, bench) -> None:
     bench.device.receive(b"OUTP:LOAD INF\n")
-    bench.turn("OUTP:LOAD", "OUTP:LOAF")
+    bench.line.turn("OUTP:LOAD", "OUTP:LOAF")
     with pytest.raises(SettingRefused, match="load: unchanged"):
         light.apply(FLICKER)
     assert bench.open(load="unchanged").apply(FLICKER) == FLICKER
@@ -83,7 +83,7 @@ def test_a_light_whose_settings_or_switch_were_refused_is_dark(light, bench) -> 
     light.apply(FLICKER)
     light.on()
     assert bench.lit()
-    bench.turn("OUTP ON", "OUTP ON;NONSENSE")
+    bench.line.turn("OUTP ON", "OUTP ON;NONSENSE")
     with pytest.raises(SettingRefused):
         light.on()
     assert not bench.lit()
@@ -91,7 +91,7 @@ def test_a_light_whose_settings_or_switch_were_refused_is_dark(light, bench) -> 
 
 def test_an_output_that_does_not_come_on_is_a_fault(light, bench) -> None:
     light.apply(FLICKER)
-    bench.turn("OUTP ON", "OUTP OFF")
+    bench.line.turn("OUTP ON", "OUTP OFF")
     with pytest.raises(LightFault, match="reads off"):
         light.on()
 
@@ -99,7 +99,7 @@ def test_an_output_that_does_not_come_on_is_a_fault(light, bench) -> None:
 def test_an_output_that_does_not_go_off_is_a_fault(light, bench) -> None:
     light.apply(FLICKER)
     light.on()
-    bench.turn("OUTP OFF", "OUTP ON")
+    bench.line.turn("OUTP OFF", "OUTP ON")
     with pytest.raises(LightFault, match="by hand"):
         light.off()
     assert bench.commands().count("OUTP OFF") == 2
@@ -128,6 +128,6 @@ def test_an_error_queue_that_never_ends_is_given_up(bench) -> None:
 
 
 def test_a_steady_level_that_reads_back_lower_is_refused(light, bench) -> None:
-    bench.turn("VOLT:OFFS 3.3", "VOLT:OFFS 2")
+    bench.line.turn("VOLT:OFFS 3.3", "VOLT:OFFS 2")
     with pytest.raises(SettingRefused, match=r"high_v: asked 3\.3, got 2\.0"):
         light.apply(LightSettings("steady", high_v=3.3))
