@@ -1,5 +1,8 @@
 """Lateness of a busy computer: measured, told, and no reason to give a wrong remedy."""
 
+from itertools import count
+from types import SimpleNamespace
+
 import pytest
 from turned_clock import TurnedClock
 
@@ -81,15 +84,8 @@ def ask_a_silent_port(scripted):
 
 
 def test_a_time_out_on_a_busy_computer_says_so(monkeypatch, ask_a_silent_port):
-    class Late:
-        def __init__(self):
-            self._lost_s = 0.0
-
-        def lost_s(self):
-            self._lost_s += 40.0
-            return self._lost_s
-
-    monkeypatch.setattr(lateness, "own_lateness", Late)
+    late = SimpleNamespace(lost_s=count(40.0, 40.0).__next__)
+    monkeypatch.setattr(lateness, "own_lateness", lambda: late)
     monkeypatch.setattr(lateness, "MOST_STRETCH_S", 0.1)
     error = ask_a_silent_port()
     assert "too busy" in error.what

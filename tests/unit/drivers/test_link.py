@@ -5,6 +5,7 @@ import io
 import json
 import os
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,14 +14,6 @@ from drivers.link import LONGEST_LINE, ReplyReader
 from drivers.stage.zaber import ZaberChain
 from drivers.wire_log import WireLogFault, WireLogFile
 from tests.unit.drivers.conftest import CountedLink
-
-
-class Log:
-    def __init__(self) -> None:
-        self.lines = []
-
-    def record(self, t_s, port, direction, data) -> None:
-        self.lines.append((t_s, port, direction, data))
 
 
 def line(reader: ReplyReader) -> bytes:
@@ -76,11 +69,12 @@ def test_unsolicited_lines_go_to_their_handler_wherever_they_come(scripted, cloc
 
 
 def test_every_byte_is_logged_with_its_time_and_direction(scripted, clock) -> None:
-    log = Log()
+    lines = []
+    log = SimpleNamespace(record=lambda *line: lines.append(line))
     link = CountedLink(scripted([(b"a\n", b"1\n")]), clock, wire_log=log)
     clock.sleep(2.5)
     link.exchange(b"a\n", line, deadline_s=1.0)
-    assert log.lines == [(2.5, "scripted", ">", b"a\n"), (2.5, "scripted", "<", b"1\n")]
+    assert lines == [(2.5, "scripted", ">", b"a\n"), (2.5, "scripted", "<", b"1\n")]
 
 
 # ---------------------------------------------------------------- the wire log

@@ -1,6 +1,7 @@
 """The hands at the simulated camera."""
 
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -9,22 +10,16 @@ from bench.base.errors import ControlRefused
 from bench.extras.pages.align.simulated_hands import SimulatedHands
 
 
-class Simulation:
+def simulation(answer):
     """A simulated bench that notes its orders."""
-
-    def __init__(self, answer):
-        self.orders, self.answer = [], answer
-
-    def order(self, line):
-        self.orders.append(line)
-        return self.answer
+    return Mock(order=Mock(return_value=answer))
 
 
 def test_hands_turn_the_lens_of_a_simulated_bench_only():
-    bench = Simulation(json.dumps({"ok": True, "now": {"ring_deg": 5.0}}))
+    bench = simulation(json.dumps({"ok": True, "now": {"ring_deg": 5.0}}))
     hands = SimulatedHands(bench)
     assert hands.do("lens turn", {"deg": 5.0}) == {"ring_deg": 5.0}
-    assert bench.orders == ["lens turn deg=5"]
+    bench.order.assert_called_once_with("lens turn deg=5")
     assert hands.seen == {"ring_deg": 5.0}
     with pytest.raises(ControlRefused, match="is real"):
         SimulatedHands(None).do("lens turn", {"deg": 5.0})
@@ -40,13 +35,13 @@ def test_hands_turn_the_lens_of_a_simulated_bench_only():
     ],
 )
 def test_hands_do_only_what_hands_can_do(action, numbers):
-    bench = Simulation("{}")
+    bench = simulation("{}")
     with pytest.raises(ControlRefused):
         SimulatedHands(bench).do(action, numbers)
-    assert bench.orders == []
+    bench.order.assert_not_called()
 
 
 @pytest.mark.parametrize("answer", ["", '{"ok": false, "error": "f_number must be above 0"}'])
 def test_a_refused_order_is_said(answer):
     with pytest.raises(ControlRefused, match=r"did not answer|f_number"):
-        SimulatedHands(Simulation(answer)).do("lens aperture", {"f_number": 0.0})
+        SimulatedHands(simulation(answer)).do("lens aperture", {"f_number": 0.0})

@@ -2,6 +2,7 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import grimp
 import numpy as np
@@ -26,15 +27,6 @@ def same(first, other):
     return parts(first) == parts(other)
 
 
-class Finder:
-    def __init__(self, view):
-        self.view, self.calls = view, 0
-
-    def __call__(self):
-        self.calls += 1
-        return self.view
-
-
 @pytest.fixture
 def kept(tmp_path):
     return KeptViews(tmp_path / "home" / "kept-views")
@@ -49,29 +41,29 @@ def recording(tmp_path):
 
 @pytest.mark.parametrize("rim", [made_rim(), None], ids=["rim", "no rim"])
 def test_stars_are_found_once_and_are_equal_to_the_last_bit(kept, recording, rim):
-    find = Finder(made_view(rim=rim))
-    assert same(kept.view(recording, OPTIONS, find), find.view)
+    find = Mock(return_value=made_view(rim=rim))
+    assert same(kept.view(recording, OPTIONS, find), find.return_value)
     again = KeptViews(kept.folder)
-    assert same(again.view(recording, OPTIONS, find), find.view)
-    assert (find.calls, kept.found, again.used, again.remarks) == (1, 1, 1, [])
+    assert same(again.view(recording, OPTIONS, find), find.return_value)
+    assert (find.call_count, kept.found, again.used, again.remarks) == (1, 1, 1, [])
 
 
 def test_other_bytes_other_options_and_another_detector_are_found_again(kept, recording, monkeypatch):
-    find = Finder(made_view(rim=made_rim()))
+    find = Mock(return_value=made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     kept.view(recording, {**OPTIONS, "image": "accumulated"}, find)
-    assert find.calls == 2
+    assert find.call_count == 2
     recording.write_bytes(b"Events")
     kept.view(recording, OPTIONS, find)
-    assert find.calls == 3
+    assert find.call_count == 3
     monkeypatch.setattr(kept_views, "detector_version", lambda: "another")
     kept.view(recording, OPTIONS, find)
-    assert find.calls == 4
+    assert find.call_count == 4
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "of another", "larger than any"])
 def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
-    find = Finder(made_view(rim=made_rim()))
+    find = Mock(return_value=made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     (entry,) = kept.folder.glob("*/*.view")
     data = bytearray(entry.read_bytes())
@@ -81,13 +73,13 @@ def test_a_broken_entry_is_found_again_and_told(kept, recording, damage):
     entry.write_bytes(broken.get(damage, b""))
     if damage == "larger than any":
         os.truncate(entry, 10 << 30)
-    assert same(kept.view(recording, OPTIONS, find), find.view)
-    assert find.calls == 2
+    assert same(kept.view(recording, OPTIONS, find), find.return_value)
+    assert find.call_count == 2
     assert len(kept.remarks) == 1
     assert "are found again" in kept.remarks[0]
     assert str(entry) in kept.remarks[0]
     kept.view(recording, OPTIONS, find)
-    assert find.calls == 2, "the broken entry was replaced"
+    assert find.call_count == 2, "the broken entry was replaced"
 
 
 def test_a_recording_that_is_replaced_meanwhile_is_not_kept(kept, recording):
@@ -118,7 +110,7 @@ def test_the_size_is_bounded_and_what_was_used_last_stays(tmp_path):
 
 
 def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
-    find = Finder(made_view(rim=made_rim()))
+    find = Mock(return_value=made_view(rim=made_rim()))
     kept.view(recording, OPTIONS, find)
     (entry,) = kept.folder.glob("*/*.view")
     modes = [path.stat().st_mode & 0o777 for path in (kept.folder, entry.parent, entry)]
@@ -126,25 +118,25 @@ def test_the_folder_is_private_and_one_that_is_not_is_refused(kept, recording):
     kept.folder.chmod(0o770)
     open_to_others = KeptViews(kept.folder)
     open_to_others.view(recording, OPTIONS, find)
-    assert find.calls == 2
+    assert find.call_count == 2
     assert "chmod 700" in open_to_others.remarks[0]
 
 
 def test_a_folder_that_cannot_be_made_is_told_once(tmp_path, recording):
     (tmp_path / "file").write_text("")
     kept = KeptViews(tmp_path / "file" / "views")
-    find = Finder(made_view(rim=made_rim()))
+    find = Mock(return_value=made_view(rim=made_rim()))
     for _ in range(3):
         kept.view(recording, OPTIONS, find)
-    assert find.calls == 3
+    assert find.call_count == 3
     assert len(kept.remarks) == 1
 
 
 def test_a_full_disk_is_told_once_and_leaves_no_part(kept, recording, monkeypatch):
     monkeypatch.setattr("pathlib.Path.replace", full)
-    find = Finder(made_view(rim=made_rim()))
+    find = Mock(return_value=made_view(rim=made_rim()))
     for _ in range(2):
-        assert same(kept.view(recording, OPTIONS, find), find.view)
+        assert same(kept.view(recording, OPTIONS, find), find.return_value)
     assert [remark.count("No space left") for remark in kept.remarks] == [1]
     assert not [path for path in kept.folder.rglob("*") if path.is_file()]
 

@@ -1,6 +1,7 @@
 """An order for a fault reaches the part of the bench that it names, and no other."""
 
 from collections.abc import Callable
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
@@ -34,18 +35,6 @@ class Port:
         self.plugged = True
 
 
-class Camera:
-    def __init__(self) -> None:
-        self.calls: list[str] = []
-        self.stream_faults = StreamFaults()
-
-    def unplug(self) -> None:
-        self.calls.append("unplugged")
-
-    def report_fault(self, message: str) -> None:
-        self.calls.append(message)
-
-
 class Bench:
     """The parts of a bench without ports, on a clock that the test advances."""
 
@@ -58,7 +47,7 @@ class Bench:
         stage = make_stage("zaber", config.axes, lambda: self.now_s, lambda _name, _pointing: None)
         self.dialects = {**stage.dialects, "light": light}
         self.ports = {name: Port() for name in self.dialects}
-        self.camera = Camera()
+        self.camera = Mock(stream_faults=StreamFaults())
         self.world = World(Truth(mount=MountTruth(shift_mm=(0.5, 0.0))), clock=lambda: self.now_s)
         self.changes = 0
         self.hands = CameraHands(self.world, self.count_change)
@@ -122,7 +111,7 @@ def test_a_fault_of_an_axis_affects_that_axis_alone(bench: Bench, fault, after_a
 def test_faults_of_the_camera_reach_it(bench: Bench):
     bench.order("camera unplug")
     bench.order("camera fault message='too hot'")
-    assert bench.camera.calls == ["unplugged", "too hot"]
+    assert bench.camera.method_calls == [call.unplug(), call.report_fault("too hot")]
     bench.order("camera frames_lost skip=1 count=2")
     assert [bench.camera.stream_faults.apply(b"ab") for _ in range(4)] == [b"ab", b"", b"", b"ab"]
     bench.order("camera overflow")
