@@ -31,7 +31,8 @@ from drivers.visa_port import VisaPort
 from drivers.wire_log import Direction, WireLog
 
 TRIES: Final = 3
-"""How often a request is sent in all, before its last error is passed on."""
+"""How often a request is sent in all, before its last error is passed on: one lost message is chance, three are a
+fault."""
 TRIES_WHEN_LATE: Final = 3
 """How much more often a request is sent when time-outs came from a computer that is too busy."""
 
@@ -39,7 +40,7 @@ LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
 
 RESYNCHRONISE_TRIES: Final = 2  # A second marker, if the first one was lost
-CONNECT_TRIES: Final = 3
+CONNECT_TRIES: Final = 3  # As many as those of a request
 CONNECT_PAUSE_S: Final = 0.5
 """A device that has closed a connection may need a moment before it accepts another one."""
 

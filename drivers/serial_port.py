@@ -43,7 +43,7 @@ _NO_SERIAL_PORT = (ValueError, NotImplementedError)
 SYSTEM = os.name
 _SLICE_S = 0.05
 """Longest single read of the port, in seconds. A new value for an open port would write its line settings again."""
-_WRITE_S = 2.0
+_WRITE_S = 2.0  # A command of some bytes; longer, and the device holds the line
 _STOOD_STILL_S = 1.0
 """A write that ends later than its time limit by more than this ended late because the computer stood still."""
 _MOST_BYTES = 4096

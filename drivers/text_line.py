@@ -45,8 +45,8 @@ class TextLine(Link):
     `ReplyTimeout` or `ReplyGarbled` if the device does not identify itself, `PortLost` if the port is gone.
     """
 
-    quiet_s = 0.1
-    longest_drain_s = 2.0
+    quiet_s = 0.1  # Longer than any pause within a reply; more would slow each connection
+    longest_drain_s = 2.0  # The rest of a long reply has come by then
 
     def __init__(
         self,

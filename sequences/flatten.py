@@ -49,7 +49,7 @@ from sequences.wording import did_you_mean
 MOST_STEPS = 100_000
 """Steps that a script may have at most: about a night with one pose a second."""
 POSES_FAILED = 10
-"""An ``until`` ends when this number of its chosen poses failed all attempts."""
+"""An ``until`` ends when this number of its chosen poses failed all attempts: so many are no chance."""
 MOST_FAULTS = 1000
 """Faults that are collected at most: each round of a repeat has the same faults again."""
 

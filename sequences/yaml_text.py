@@ -17,7 +17,8 @@ import yaml
 from sequences.tree import DocumentPath, Fault, Spot, Tree
 
 MOST_BYTES = 1_000_000
-"""Bytes that a document may have at most."""
+"""Bytes that a document may have at most. Sequences have some thousand; a larger document would keep the reader
+busy."""
 MOST_NODES = 20_000
 """Values and keys that a document may have at most."""
 MOST_DEPTH = 40

@@ -57,7 +57,7 @@ _TRUTH_SECTIONS: Final = (
 
 
 _MOUNTING_STREAM = 1  # Of random numbers, apart from those of other parts of the world
-_MOUNTING_SPREAD_DEG = 0.25
+_MOUNTING_SPREAD_DEG = 0.25  # 1 sigma about each axis, as by eye (own choice)
 _MOUNTING_DEG = (0.0, 0.0, 10.0)
 """With a roll, as on a real bench: the print's edges are then not parallel to the rows of pixels."""
 

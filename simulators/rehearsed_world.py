@@ -24,10 +24,10 @@ from simulators.world.truth import Truth
 
 Mishap = Literal["", "covered", "lost"]
 
-_CLEARANCE_SQUARES = 1.0
-_BORDER_PX = 6.0
+_CLEARANCE_SQUARES = 1.0  # A star at the disc's edge needs the squares around it
+_BORDER_PX = 6.0  # A star is found only if some pixels around it are in the image
 _COVERED_STARS = 20
-"""Stars that remain visible if something covers the camera's view."""
+"""Stars that remain visible if something covers the camera's view: fewer than a gate wants (40)."""
 
 
 @dataclass(frozen=True)

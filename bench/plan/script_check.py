@@ -330,7 +330,10 @@ def _beam_remarks(document: Located[Sequence], steps: tuple[Step, ...], station:
 
 
 def off_axis(angles_deg: Mapping[str, float]) -> float:
-    """Return the angle between the axes of camera and beam, degrees, if they agree at the stage's zero."""
+    """Return the angle between the axes of camera and beam, degrees, if they agree at the stage's zero.
+
+    Its cosine is cos(pan) cos(tilt), the last element of Rz(roll) Rx(tilt) Ry(pan).
+    """
     pan, tilt = (math.radians(angles_deg.get(axis, 0.0)) for axis in ("pan", "tilt"))
     return math.degrees(math.acos(math.cos(pan) * math.cos(tilt)))
 

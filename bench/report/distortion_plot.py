@@ -100,7 +100,10 @@ def angles_of(camera: CameraModel, points: Array) -> Array:
 
 
 def _radial(values: Mapping[str, float], angles_deg: Array) -> Array:
-    """Return the image radius less that of the ideal lens, px, for the mean focal length."""
+    """Return the image radius less that of the ideal lens, px, for the mean focal length f.
+
+    The ideal radius is f tan(angle); that of a fisheye is f times the angle.
+    """
     angle = np.radians(angles_deg)
     lens = {n: v for n, v in values.items() if n not in {"fx", "fy", "cx", "cy"} | _TANGENTIAL}
     focal = (values["fx"] + values["fy"]) / 2

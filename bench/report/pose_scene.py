@@ -74,7 +74,10 @@ class _Places:
 
 
 def _seen(points: Array) -> Array:
-    """Return (N, 2) coordinates, to the right and down, of (N, 3) points: the camera stands on the left."""
+    """Return (N, 2) coordinates, to the right and down, of (N, 3) points: the camera stands on the left.
+
+    A parallel projection after a turn about y and one about x.
+    """
     yaw, pitch = np.radians([_YAW_DEG, _PITCH_DEG])
     x, y, z = points.T
     across = x * np.cos(yaw) + z * np.sin(yaw)

@@ -130,7 +130,10 @@ def _read_back(facts: RecordedData | CameraConditions) -> dict[str, int | bool]:
 
 
 def _evidence(ratio: float, share: float) -> float:
-    """Return 2 log of the likelihood ratio of a changed number against one that varies by a share (1 sigma)."""
+    """Return 2 log of the likelihood ratio of a changed number against one that varies by a share (1 sigma).
+
+    (log(ratio) / share)^2, for a normal distribution of the logarithm.
+    """
     return min((math.log(max(ratio, 1e-6)) / share) ** 2, LARGEST_EVIDENCE)
 
 

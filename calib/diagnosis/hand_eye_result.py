@@ -121,7 +121,10 @@ class HandEyeCheck:
         return self.names[pose] if pose < len(self.names) else f"{pose + 1}"
 
     def _scale_evidence(self, axis: str, more: float = 0.0) -> float:
-        """Return 2 log of the likelihood ratio of a scale against 1, if that has so much more 1-sigma."""
+        """Return 2 log of the likelihood ratio of a scale against 1, if that has so much more 1-sigma.
+
+        ((scale - 1) / sigma)^2, for a normal distribution.
+        """
         sigma = math.hypot(self.scale_sigma[axis], self.stated_scale_sigma, more)
         return ((self.scale[axis] - 1.0) / sigma) ** 2
 

@@ -117,6 +117,10 @@ class SeenRotations:
 
     @cached_property
     def _scatters(self) -> list[Scatter]:
+        """Scatters beyond the stated covariance C: of the readings, and smooth functions of the angles.
+
+        For each shape S of a scatter, the eigenvectors of C v = l S v make C + s S diagonal for every variance s.
+        """
         stated = self.covariance + _ROUNDING * np.eye(len(self.covariance))
         angles = self.first.model.angles
         moved = [i for i in range(3) if np.ptp(angles[:, i]) > 0]

@@ -148,7 +148,8 @@ class Boresight:
     def angle_to(self, normal: Array, sigma_rad: float) -> tuple[float, float]:
         """Return the angle of the ray to a (3,) direction of the flange's frame, and its expanded uncertainty, degrees.
 
-        An angle near zero has no single gradient, so the larger uncertainty of the ray's two directions is taken.
+        The angle is atan2(|s x n|, s . n) of ray s and direction n. One near zero has no single gradient, so the larger
+        uncertainty of the ray's two directions is taken.
         """
         unit = np.asarray(normal, np.float64) / np.linalg.norm(normal)
         angle = float(np.arctan2(np.linalg.norm(skew(self.sight[None])[0] @ unit), self.sight @ unit))

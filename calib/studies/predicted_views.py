@@ -82,7 +82,10 @@ class CollimatorErrors:
 
 
 def _per_axis(rms_px: float, star_sigma_px: float) -> float:
-    """Return the part of an RMS length that is not star noise, 1-sigma per axis, px; 0 if star noise explains it."""
+    """Return the part of an RMS length that is not star noise, 1-sigma per axis, px; 0 if star noise explains it.
+
+    The mean square of a length in a plane is twice the variance per axis.
+    """
     return float(np.sqrt(max(0.5 * rms_px**2 - star_sigma_px**2, 0.0)))
 
 

@@ -34,8 +34,8 @@ MOST_RATIO: Final = 100
 SMALL_PIXELS: Final = 1 << 23
 """Images of this size need no ratio: a drawn image can be compressed to almost nothing."""
 MOST_PAGES: Final = 10_000
-"""Images that a TIFF may have at most."""
-_MOST_SEGMENTS: Final = 10_000
+"""Images that a TIFF may have at most: a hostile file has no end of them."""
+_MOST_SEGMENTS: Final = 10_000  # Of a JPEG before its picture; photographs have some tens
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*([0-9]+)\s+(?:#[^\n]*\n\s*)*([0-9]+)")
 _PAUSE_S: Final = 0.1
 """Pause between two uses of the clock while frames are written, s."""

@@ -15,7 +15,7 @@ from typing import Final
 from drivers.camera.raw_header import MAX_HEADER_BYTES, encoding_of, header_fields
 from drivers.errors import NotARecording, RecordingCorrupt
 
-_SMALL_BYTES: Final = 1 << 20
+_SMALL_BYTES: Final = 1 << 20  # Gaps that a writer leaves may be a large share of a smaller file
 _LEAST_SHARE: Final = 0.1
 """Share of a file that may be holes: some writers leave gaps between their parts."""
 _MOST_HOLES: Final = 10_000  # The sum of the first ones says enough

@@ -23,7 +23,8 @@ from drivers.camera.raw_writer import reason
 from drivers.errors import NotARecording, RecordingFileError
 
 _READ_ONCE_BYTES: Final = 1 << 24
-"""Size of a file up to which its words stay in memory between their count and their decoding."""
+"""Size of a file up to which its words stay in memory between their count and their decoding; a larger one would fill
+it."""
 
 _STEP_WORDS: Final = 1 << 16
 """Steps of what is used of a long recording: with others, its view would have other events."""

@@ -20,7 +20,7 @@ from drivers.camera.file_kinds import is_dat, kind_of_file
 from drivers.errors import NotARecording
 
 MAX_HEADER_BYTES: Final = 65536
-"""Longest header that is read."""
+"""Longest header that is read; cameras write some hundred bytes."""
 
 MAX_SIDE_PX: Final = 2048
 """Largest width and height of a sensor: EVT3 addresses have 11 bits."""

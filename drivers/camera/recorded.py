@@ -27,7 +27,7 @@ _PIECE_WORDS: Final = 1024  # Small, so that a recording ends near its duration
 class RecordedCamera(EventCameraDriver):
     """An ``EventCamera`` that plays RAW files in the order given; ``serial`` None accepts any in their headers."""
 
-    SILENCE_S = 10.0
+    SILENCE_S = 10.0  # Twice that of a camera: a disk may have to start first
 
     def __init__(self, files: list[RawFile], *, serial: str | None, clock: Clock) -> None:
         super().__init__(serial=serial, clock=clock)

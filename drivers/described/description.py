@@ -22,7 +22,7 @@ from drivers.errors import OutsideLimits
 from drivers.serial_port import LineSettings
 
 LONGEST: Final = 200
-"""Characters of a template at most."""
+"""Characters of a template at most; requests and replies are some words."""
 MOST_DECIMALS: Final = 9  # A double has 15 digits, and angles take three before the point
 
 Value = float | str

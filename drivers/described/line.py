@@ -47,7 +47,7 @@ class DescribedLine(Link):
     """A line to one device. Opening sets the form of the replies and asks for the identity, nothing else."""
 
     GARBLED_REMEDY = "Check the cable, the baud rate and the device's description."
-    longest_drain_s = 2.0
+    longest_drain_s = 2.0  # The rest of a long reply has come by then
 
     def __init__(
         self, port: Port, description: LineDescription, *, clock: Clock, wire_log: WireLog | None = None

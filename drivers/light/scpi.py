@@ -27,7 +27,7 @@ class ScpiLight(WatchedLight):
     "numbered" or "siglent".
     """
 
-    SETTINGS = LineSettings(9600)
+    SETTINGS = LineSettings(9600)  # as generators are delivered
     _line: ScpiLine
     OUTPUT = LAMP = "output"
     STAYS_DARK = ("reads off", "Check whether the generator shows an overload of its output.")

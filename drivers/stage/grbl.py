@@ -36,7 +36,7 @@ _REPORT_MACHINE = 1  # Bit of the setting 10: positions of the machine, not of t
 _SOFT_LIMITS, _HOMING, _HOMES_DOWN, _REPORT_MASK, _INCHES = 20, 22, 23, 10, 13
 _HOMING_PASSES = range(44, 50)
 """Settings of grblHAL, each with the axes that one pass of homing searches, as bits."""
-_LOCATE, _SEEK, _PULL_OFF = 24, 25, 27
+_LOCATE, _SEEK, _PULL_OFF = 24, 25, 27  # Settings: speeds of the slow and the fast search, way back
 _SEARCHED_TRAVELS = 1.5
 """How far the firmware searches a switch, in travels; the descendants search no farther."""
 _LOCATED_PULL_OFFS = 20.0
@@ -73,7 +73,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
     values that the board must have, such as ``$3``. These, scale or travel that do not fit raise `OutsideLimits`.
     """
 
-    SETTINGS = LineSettings(115200)
+    SETTINGS = LineSettings(115200)  # of the firmware as it is delivered
 
     def __init__(
         self,

@@ -24,7 +24,7 @@ CANCEL_JOG = b"\x85"
 RESET = b"\x18"
 """Real-time commands: the firmware takes these bytes out of the line at once, whatever it is doing."""
 
-_MARKER_S = 0.5
+_MARKER_S = 0.5  # Longest wait for the answer that shows that the line is in step
 _BOOT_TRIES = 6
 """A board that restarts because its port was opened sends nothing for a second or two."""
 _INVALID_LINE = b"Q\n"
@@ -60,7 +60,7 @@ class GrblController(Link):
     """
 
     TELLS_ECHO = True
-    quiet_s = 0.1
+    quiet_s = 0.1  # Longer than any pause within a reply; more would slow each connection
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self.restarts = 0

@@ -70,7 +70,7 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     Speed, acceleration or scale that do not fit the controller raise `OutsideLimits`.
     """
 
-    SETTINGS = LineSettings(115200, rtscts=True)
+    SETTINGS = LineSettings(115200, rtscts=True)  # as the protocol has it
     CONTROLLER = ThorlabsController
     FAULT_REMEDY = "Clear the cause, switch the controller off and on, then home the stage."
 

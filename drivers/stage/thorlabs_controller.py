@@ -20,7 +20,9 @@ from drivers.stage.refusals import read_back_otherwise
 from drivers.wire_log import WireLog
 
 _MARKER_S: Final = 0.45
-_STOP_POLL_S: Final = 0.02
+"""Longest wait for the identity that shows that the line is in step. With 0.3 s, a unit that restarts was given up
+before it answered."""
+_STOP_POLL_S: Final = 0.02  # Pause between two readings, so that a stop is seen at once
 _POLLS_A_STOP: Final = 5
 """While the axis moves, the stop is sent again after so many readings: it may be lost, and has no reply."""
 

@@ -178,7 +178,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     Limits, speed or acceleration beyond the controller's raise `OutsideLimits`.
     """
 
-    SETTINGS = LineSettings(115200, frame="8N2")
+    SETTINGS = LineSettings(115200, frame="8N2")  # as the protocol has it
     CONTROLLER = XimcController
 
     def _set_up(self) -> None:

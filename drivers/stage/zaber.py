@@ -25,7 +25,7 @@ from drivers.stage.watched import AxisState, OneLineStage
 from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 
-_MARKER_S = 0.5
+_MARKER_S = 0.5  # Longest wait for the answer that shows that the line is in step
 _MESSAGE_IDS = 100  # Ids have two digits
 _ANSWERED_ALREADY = frozenset({1, _MESSAGE_IDS - 1})
 """Ids, against that of a request, of the request before it and of the marker between the two."""
@@ -33,7 +33,7 @@ SPEED_UNITS = 1.6384
 """maxspeed = 1.6384 x microsteps/s (ASCII Protocol Manual, setting maxspeed)."""
 ACCELERATION_UNITS = 1.6384e-4
 """accel = 1.6384 / 10000 x microsteps/s^2 (ASCII Protocol Manual, setting accel)."""
-_SCALE_AGREES = 1e-6
+_SCALE_AGREES = 1e-6  # Share of a turn: a scale is written with some digits
 _MODEL_NAMES = ("deviceid", "device.id")
 """Settings with the number of the model, of firmware 6 and 7; firmware 7 need not know the older name."""
 _HOME_PRESET = "limit.home.preset"
@@ -197,7 +197,7 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
     Limits beyond the controller's travel, or other scales, raise `OutsideLimits`.
     """
 
-    SETTINGS = LineSettings(115200)
+    SETTINGS = LineSettings(115200)  # of the ASCII protocol
 
     def _connected(self, port: Port, wire_log: WireLog | None) -> ZaberChain:
         devices = [axis.device for axis in self._axes.values()]

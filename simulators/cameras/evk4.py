@@ -24,10 +24,10 @@ from simulators.world.world import World
 
 HEADER: Final = struct.Struct("<cI")
 """Frame header: type (one ASCII letter) and payload length in bytes."""
-MAX_REQUEST_BYTES: Final = 65536
+MAX_REQUEST_BYTES: Final = 65536  # Requests have some hundred bytes
 FIRMWARE: Final = "4.2.0-simulated"
 NOMINAL_LUX: Final = 250.0
-"""Illumination of the sensor at nominal brightness, lux."""
+"""Illumination of the sensor at nominal brightness, lux; own choice, only the camera's light meter tells it."""
 MEAN_COVERAGE: Final = 0.5
 """Share of the target that lets light through: half of each star is black."""
 LEAVING_S: Final = 1.0

@@ -20,10 +20,11 @@ from simulators.cameras.streaming import POLL_S, CameraServer
 from simulators.optics import scene
 from simulators.world.world import LightState, World
 
-RATE_HZ: Final = 25
+RATE_HZ: Final = 25  # As the exposure, common with machine-vision cameras (own choice)
 EXPOSURE_S: Final = 0.010
 FULL_WELL: Final = 10_000.0
-"""Electrons at which a pixel is saturated (grey value 255)."""
+"""Electrons at which a pixel is saturated (grey value 255). As the next four, of the size of small industrial cameras
+(own choice)."""
 FULL_LIGHT_ELECTRONS: Final = 8_000.0
 """Electrons of a white pixel in one exposure at nominal brightness."""
 DARK_ELECTRONS: Final = 60.0
@@ -31,7 +32,7 @@ READ_NOISE_ELECTRONS: Final = 12.0
 PIXEL_SPREAD: Final = 0.006
 """Relative standard deviation of the pixels' sensitivities."""
 LIGHT_SAMPLES: Final = 32
-"""Number of moments in an exposure at which the light is sampled."""
+"""Number of moments in an exposure at which the light is sampled: a flicker of 60 Hz changes little between two."""
 
 
 class PictureMaker:
@@ -74,7 +75,7 @@ class PictureMaker:
 
 
 def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> float:
-    """Return the mean brightness of the light over an exposure."""
+    """Return the mean brightness of the light over an exposure, by the midpoint rule."""
     if not light.output:
         return 0.0
     instants = begin_s + (np.arange(LIGHT_SAMPLES) + 0.5) / LIGHT_SAMPLES * exposure_s

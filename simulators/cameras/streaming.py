@@ -41,7 +41,7 @@ FRAME_CAMERA_FAULTS: Final = {
 _TIME_HIGH: Final = 0x8  # Type of the EVT3 word
 _UNKNOWN_WORD: Final = 0x9000  # A type that EVT3 does not have
 
-#: Jump of the clock, in units of its high word (4096 us).
+#: Jump of the clock, in units of its high word (4096 us): far more than the 64 us by which a busy sensor may step back.
 _JUMP: Final = 10
 
 INTERVAL_S: Final = 0.5

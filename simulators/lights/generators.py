@@ -53,7 +53,7 @@ _MIN_AMPLITUDE_V: Final = 0.002
 
 #: Size of the input buffer, bytes.
 _MAX_MESSAGE: Final = 2048
-_LOAD_OHM: Final = (1.0, 10_000.0)
+_LOAD_OHM: Final = (1.0, 10_000.0)  # Of the 33250A: the loads that it can be told
 
 _VALUES: Final[tuple[tuple[str, Setting, str], ...]] = (
     ("FREQuency", "frequency", "frequency_hz"),

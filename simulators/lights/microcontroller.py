@@ -19,7 +19,7 @@ from simulators.lights.driver import LightDriver
 from simulators.world.world import FULL_DRIVE_V, LightState
 
 _CLOCK_HZ: Final = 16_000_000  # Of the timer, as are the next two
-_PRESCALERS: Final = (1, 8, 64, 256, 1024)
+_PRESCALERS: Final = (1, 8, 64, 256, 1024)  # Of the ATmega328P's timer 1, as its 16 bits
 _MOST_TICKS: Final = 65_536
 _MAX_LINE: Final = 64  # Bytes; a line of the protocol has at most 60 characters
 

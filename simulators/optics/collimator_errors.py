@@ -37,12 +37,12 @@ from simulators.world.truth import CollimatorTruth, ReticleTruth
 
 FloatArray = NDArray[np.float64]
 
-DEGREE: Final = 5
+DEGREE: Final = 5  # The residuals of a real collimator have shares up to this degree; see `POWER`
 MONOMIALS: Final = (DEGREE + 1) * (DEGREE + 2) // 2
 POWER: Final = (0.17, 0.12, 0.24, 0.20, 0.27)
 """Share of each degree, 1 to `DEGREE`, in the mean square: taken from recordings of a real collimator."""
 WAVES: Final = 3
-"""Sinusoids summed in a random function of the pose."""
+"""Sinusoids summed in a random function of the pose: three look irregular; each more costs time."""
 WAVELENGTH: Final = 0.2
 """Mean wavelength of these sinusoids, in tangents of the camera's turn."""
 EDGE: Final = 1.2

@@ -103,7 +103,10 @@ def _bisected_crossing(d: Drive, j: Any, f: Any, target: Any, first: Any, last: 
 
 @njit(forceinline=True, **INNER)
 def _bin_at(d: Drive, phase: Any, bent: bool) -> Any:
-    """Return the position of a phase below one period among the atlas's bins, with its fraction."""
+    """Return the position of a phase below one period among the atlas's bins, with its fraction.
+
+    The inverse of ``drive._bent_grid`` where the bins are bent.
+    """
     bins = np.float32(ATLAS_BINS)
     if not bent:
         x = phase * np.float32(ATLAS_BINS / d.period_us)

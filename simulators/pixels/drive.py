@@ -34,11 +34,11 @@ T_DARK: Final = 3  # phase of the largest
 N_TURNS: Final = 4
 
 EDGE_BEND: Final = 6.0
-"""ln of the ratio of the longest to the shortest bin in a part of a square's period."""
-ATLAS_LEVELS: Final = 128
+"""ln of the ratio of the longest to the shortest bin in a part of a square's period: curves bend most after an edge."""
+ATLAS_LEVELS: Final = 128  # From one to the next, ln u is nearly linear; see ``log_step``
 ATLAS_BINS: Final = 2048  # 8 us each at 60 Hz
 SINE_STEPS: Final = 4
-"""Steps per bin in which a sine's curves are computed."""
+"""Steps per bin in which a sine's curves are computed, as their error falls with its square."""
 WHEN_STEPS: Final = 256
 """Steps of ``Drive.when`` from one extreme of the curve to the other."""
 BRIGHTEST: Final = 1.5
@@ -143,7 +143,10 @@ def _tables(
 
 
 def _bent_grid(period: float, high_share: float) -> NDArray[np.float64]:
-    """Return the edges of bins, half of them in either part of a square's period; bins are short after an edge."""
+    """Return the edges of bins, half of them in either part of a square's period; bins are short after an edge.
+
+    Own choice: t = part (exp(b x) - 1) / (exp(b) - 1) for x from 0 to 1, with b = `EDGE_BEND`.
+    """
     half = np.expm1(EDGE_BEND * np.linspace(0.0, 1.0, ATLAS_BINS // 2 + 1)) / np.expm1(EDGE_BEND)
     high_us = period * high_share
     return np.concatenate([high_us * half[:-1], high_us + (period - high_us) * half])

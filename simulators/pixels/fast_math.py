@@ -32,9 +32,9 @@ _LOG2_E: Final = np.float32(1.0 / math.log(2.0))
 _LN_2_HIGH: Final = np.float32(355.0 / 512.0)
 """ln 2 in two parts; the first has so few bits that its multiples are exact (Cody and Waite 1980)."""
 _LN_2_LOW: Final = np.float32(math.log(2.0) - 355.0 / 512.0)
-_LOWEST: Final = np.float32(-87.0)
+_LOWEST: Final = np.float32(-87.0)  # The smallest normal float32 is exp(-87.3)
 _SQRT_HALF_BITS: Final = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
-_MANTISSA: Final = np.int32(0x007FFFFF)
+_MANTISSA: Final = np.int32(0x007FFFFF)  # Its 23 bits of a float32
 
 
 class _NoAlias(CompilerBase):

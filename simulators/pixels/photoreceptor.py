@@ -146,7 +146,10 @@ def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: floa
 
 @njit(forceinline=True, **INNER)
 def _steady_square(d: Drive, light: Any) -> tuple[Any, Any]:
-    """Return u at the rising and the falling edge in the periodic steady state, in closed form."""
+    """Return u at the rising and the falling edge in the periodic steady state, in closed form.
+
+    In each part of the period u goes to 1 / I as exp(-I t / q); both ends are those after which a period repeats u.
+    """
     i_high = np.float32(d.ambient) + light * np.float32(d.w_high)
     i_low = np.float32(d.ambient) + light * np.float32(d.w_low)
     decay_high = exp32(-i_high * np.float32(d.high_us / d.q_us))

@@ -21,11 +21,11 @@ from simulators.pixels.fast_math import INNER, INNER_KERNEL, log32
 KEY: Final = 0  # its seed
 COUNTER: Final = 1  # how many numbers it has drawn
 
-_GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
+_GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)  # As the next two, of SplitMix64 (Steele, Lea and Flood 2014)
 _MIX_1: Final = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2: Final = np.uint64(0x94D049BB133111EB)
 _LOW_32: Final = np.uint64(0xFFFFFFFF)
-_TO_UNIT: Final = np.float32(2.0**-23)
+_TO_UNIT: Final = np.float32(2.0**-23)  # With half of the last bit added, 23 bits are a float32 in (0, 1)
 _HALF_UNIT: Final = np.float32(2.0**-24)
 
 

@@ -47,10 +47,10 @@ from simulators.pixels.square_light import (
 )
 
 FEW: Final = 9
-"""With fewer events, the pixels of a row are processed one by one, not as a batch."""
+"""With fewer events, the pixels of a row are processed one by one, not as a batch, which has a fixed cost."""
 LANES: Final = 16
-"""The size of a batch is a multiple of this."""
-_GAIN: Final = np.float32(1.0 / 65536.0)
+"""The size of a batch is a multiple of this: the float32 of a vector register of 512 bits."""
+_GAIN: Final = np.float32(1.0 / 65536.0)  # 2 to the power of -`ON_BITS`
 
 
 @njit(forceinline=True, **INNER)

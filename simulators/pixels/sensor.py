@@ -36,9 +36,10 @@ from simulators.world.world import LightState
 GAIN_ONE: Final = 1 << sensor_state.ON_BITS
 """Stored gain of a threshold of zero."""
 RATE_SPREAD: Final = 0.4
-"""Standard deviation of the logarithm of a pixel's background rate."""
+"""Standard deviation of the logarithm of a pixel's background rate; own choice."""
 THINNEST_THRESHOLD: Final = 0.2
-"""Smallest threshold that the mismatch gives, as a share of the nominal one."""
+"""Smallest threshold that the mismatch gives, as a share of the nominal one; at zero, a pixel would fire without
+end."""
 EPOCH_US: Final = 16384.0
 """The epoch of the pixels' times is a multiple of this; float32 then resolves 4 ns."""
 FIRST_ROOM: Final = 1 << 16

@@ -42,11 +42,11 @@ MOVING_SUBSAMPLES: Final = 2
 """Cells per pixel side of a moving picture; its motion blurs it, so coarser cells suffice."""
 PREVIEW_SUBSAMPLES: Final = 1
 PREVIEW_FRAMES: Final = 4
-"""The same of a preview, and the number of frames for which such a picture stays."""
+"""The same of a preview, which is to be quick, and the number of frames for which such a picture stays."""
 SILENT_FRAMES: Final = 2
 """Frames after a change of the view that a preview does not show: pixels fire once where the brightness has changed."""
 VIEW_LASTS_S: Final = 5.0
-"""Time after which a preview follows the temperature of the lens, s."""
+"""Time after which a preview follows the temperature of the lens, s: a lens warms up in minutes."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from simulators.pixels.sensor_state import (
 
 STEEP: Final = 3e-5
 """Smallest change of ln u per microsecond at which float32 is good to some hundredths of a microsecond."""
-LEAST_Q_US: Final = 1.0
+LEAST_Q_US: Final = 1.0  # A shorter time constant is below the clock's step
 TIME_STEP_US: Final = 4.0 / 1024.0
 """The coarsest step of a float32 time after the epoch, about 4 ns."""
 
@@ -49,7 +49,7 @@ def fill_limit_distance(drive: Drive, batch: NDArray[np.float32], n: int) -> Any
 
 @njit(**INNER)
 def _steady(d: Drive, light: float) -> tuple[float, float]:
-    """Return u at the rising and the falling edge in the periodic steady state."""
+    """Return u at the rising and the falling edge in the periodic steady state; see `photoreceptor._steady_square`."""
     i_high, i_low = d.ambient + light * d.w_high, d.ambient + light * d.w_low
     decay_high = exp(-i_high * d.high_us / d.q_us)
     decay_low = exp(-i_low * (d.period_us - d.high_us) / d.q_us)

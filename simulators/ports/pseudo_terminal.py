@@ -14,7 +14,7 @@ from pathlib import Path
 
 from simulators.errors import SimulatorError
 
-#: Largest number of bytes in one read.
+#: Largest number of bytes in one read: the size of a terminal's buffer in Linux.
 _CHUNK = 4096
 
 #: Baud rates by termios constant, for the constants that this platform defines.

@@ -27,7 +27,7 @@ _PACKET_BYTES = 32
 
 #: Interval at which the device is asked for unsolicited messages, s.
 _POLL_S = 0.02
-_CHUNK = 4096
+_CHUNK = 4096  # Bytes of one read, as of a terminal
 
 
 class Dialect(Protocol):

@@ -28,7 +28,7 @@ from simulators.world.trajectory import LoadTrajectory
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10  # Errors that the controller keeps
-_MAX_LINE: Final = 256
+_MAX_LINE: Final = 256  # Longer than any list of commands
 _AS_POWER = 7
 """Value of ``FP`` that prints positions as powers of ten."""
 _FOLLOWS_ANOTHER: Final = 4

@@ -29,7 +29,7 @@ from simulators.stages.axis_motion import Axis, AxisModel, AxisOfController, Con
 from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")
-_MAX_LINE: Final = 64
+_MAX_LINE: Final = 64  # Commands have some characters
 _NAMES: Final = {"P": "Pan", "T": "Tilt"}
 _BASE_SPEED: Final = 57
 _MOST_SPEED_DEG_S: Final = 100.0

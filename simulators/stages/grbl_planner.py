@@ -175,6 +175,7 @@ class Planner:
 
     # ------------------------------------------------------------------ internals
     def _start(self, motion: Motion, now: float) -> None:
+        """Begin a straight line; its limits are the least of an axis's limit over the axis's share of the way."""
         present = self._rest_targets(now)
         distances = {letter: motion.targets[letter] - present[letter] for letter in self._order}
         length = math.sqrt(sum(distance * distance for distance in distances.values()))

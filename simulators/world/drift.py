@@ -28,6 +28,8 @@ STEP_ARCSEC: Final = 0.05  # Less than a thousandth of a pixel
 def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
     """Return the temperature of the camera at a time after it was switched on.
 
+    Room plus self-heating times 1 - exp(-t / warm-up), as a body with one heat capacity (Newton's law of cooling).
+
     >>> temperature_c(ThermalTruth(warm_up_min=10.0), 600.0)
     34.88
     """
@@ -72,7 +74,7 @@ def moved_angles_deg(
     phases: tuple[float, float],
     t_s: float,
 ) -> dict[_Axis, float]:
-    """Return the angles at which the camera really points, with drift and vibration added.
+    """Return the angles at which the camera really points: drift linear in time plus a sinusoid of vibration (own).
 
     The drift of pan and tilt at the recording's start comes from ``drift_since_on_arcsec``; the phases are those of the
     vibration about pan and tilt at that start, in periods.

@@ -161,7 +161,10 @@ def true_angles_deg(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> tup
 
 
 def _true_angle_deg(angle_deg: float, axis: int, gimbal: GimbalTruth) -> float:
-    """Return the true angle of one axis, by its index."""
+    """Return the true angle of one axis, by its index.
+
+    Own model: (1 + scale) a + eccentricity (sin(a + phase) - sin(phase)) + noise, for a reading a.
+    """
     phase = drawn_errors(gimbal.seed)[axis].phase
     turned = math.sin(math.radians(angle_deg) + phase) - math.sin(phase)
     noise = (
@@ -204,7 +207,7 @@ def gimbal_rotation(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> Flo
 
 
 def _wobble(angles_deg: Mapping[Any, float], axis: int, gimbal: GimbalTruth) -> FloatArray:
-    """Return the rotation by which an axis tilts at its reading."""
+    """Return the rotation by which an axis tilts at its reading: own model of one and two periods a turn, 0 at 0."""
     tilt = [0.0, 0.0, 0.0]
     a = math.radians(angles_deg.get(AXES[axis], 0.0))
     size = math.sqrt(2.0) * math.radians(gimbal.wobble_deg)

@@ -48,7 +48,11 @@ def ramp(
 
 
 def _trapezoid(distance: float, entry: float, speed: float, acceleration: float) -> list[RampPhase]:
-    """Change to the highest speed, keep it, and brake; ``entry`` is the speed towards the target at the start."""
+    """Change to the highest speed, keep it, and brake; ``entry`` is the speed v0 towards the target at the start.
+
+    Constant acceleration a: v^2 changes by 2 a times the way. If the whole distance d is needed, the peak p thus has
+    p^2 = a d + v0^2 / 2.
+    """
     side = math.copysign(1.0, distance)
     peak = min(speed, math.sqrt(acceleration * abs(distance) + entry * entry / 2.0))
     change = peak - entry
@@ -159,7 +163,10 @@ class MotorTrajectory:
 
 
 def _time_to(position: float, piece: Piece) -> float:
-    """Return when, at the earliest, a piece passes a position, as it must; 0 if it starts beyond it."""
+    """Return when, at the earliest, a piece passes a position, as it must; 0 if it starts beyond it.
+
+    The root of d = v t + a t^2 / 2 as t = 2 d / (v + sqrt(v^2 + 2 a d)), which also holds for a = 0.
+    """
     distance, v, a = position - piece.position, piece.velocity, piece.acceleration
     side = math.copysign(1.0, v if v != 0.0 else a)
     root = math.sqrt(max(0.0, v * v + 2.0 * a * distance))
@@ -232,7 +239,10 @@ class LoadTrajectory:
 
 
 def _follow(piece: Piece, offset: float, load: float, t_s: float, settle_s: float) -> float:
-    """Solve settle_s dx/dt = q - x over a piece of constant acceleration."""
+    """Solve tau dx/dt = q - x, tau = settle_s, over a piece of constant acceleration.
+
+    x = q - tau q' + tau^2 q'' + C exp(-t / tau), with C from the load at the start of the piece.
+    """
     motor = piece.position_at(t_s) + offset
     if settle_s <= 0.0:
         return motor

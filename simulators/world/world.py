@@ -184,7 +184,7 @@ class History(Generic[_State]):
     """A state over time: past states can be looked up; ``first`` holds before the first one that is appended."""
 
     KEPT_S = 120.0
-    """How long past states are kept, s."""
+    """How long past states are kept, s: a camera that computes for long still asks for the past."""
 
     def __init__(self, first: _State) -> None:
         self._since: list[float] = [-math.inf]

@@ -68,7 +68,7 @@ _PLAIN_CHUNK: Final = 1 << 16  # Events
 _LEVEL: Final = 1
 """Level of gzip; the next one compresses events by 3 % more, in twice the time."""
 _MOST_WAITING: Final = 16
-"""Most chunks that are packed and not yet written."""
+"""Most chunks that are packed and not yet written: enough for all processors, and some megabytes."""
 
 Chunk = TypeVar("Chunk")
 Packed = TypeVar("Packed")

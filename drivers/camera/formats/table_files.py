@@ -51,7 +51,7 @@ PARQUET_MAGIC: Final = b"PAR1"
 PIECE_EVENTS: Final = 500_000  # Read at once
 _MOST_ARRAYS: Final = 32
 """An archive with more arrays is none of events."""
-_HEAD_BYTES: Final = 1 << 16
+_HEAD_BYTES: Final = 1 << 16  # Holds comments, names and the first events of a text
 _GEOMETRY: Final = re.compile(r"% *geometry *: *(\d{1,5}) *, *(\d{1,5}) *", re.IGNORECASE)
 _MARKS_OF_COMMENTS: Final = ("#", "%")
 _UNIT: Final = re.compile(r"[ \t]+(?=[\[(])")
