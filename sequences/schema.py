@@ -201,7 +201,7 @@ class GateConfig(StrictModel):
     max_data_rate_gbit_s: NotNegative | None = None
     require_triggers: bool = True
     """Every flicker period must have its sync edge."""
-    max_motion_px: NotNegative = 0.05
+    max_motion_px: NotNegative = 0.05  # As `event_image.MOVING_PX` of the engine, whose reason stands there
     """Image motion between the two halves of the window."""
     max_triggers_missed: NotNegative = 1
     max_trigger_jitter_us: NotNegative | None = None

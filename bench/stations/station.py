@@ -33,7 +33,7 @@ from bench.stations.station_fields import (
     Text,
 )
 from bench.stations.station_text import use_descriptions
-from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
+from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors, ExpectedBench
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name, ResultLimits
 from sequences.strict_model import StrictModel, Within
@@ -86,7 +86,7 @@ class ExpectedConfig(StrictModel):
     image_size: tuple[_Side, _Side] = (1280, 720)
     k1: _Coefficient = 0.0
     k2: _Coefficient = 0.0
-    star_sigma_px: Annotated[float, Within(1e-4, 100, "px")] = 0.02
+    star_sigma_px: Annotated[float, Within(1e-4, 100, "px")] = ExpectedBench.star_sigma_px
     """Uncertainty of a star, per axis."""
     collimator: ExpectedCollimatorConfig = ExpectedCollimatorConfig()
 

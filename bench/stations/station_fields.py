@@ -200,14 +200,14 @@ class TargetConfig(StrictModel):
     """What the target is made of, its drawing, its maker."""
     serial: Serial | None = None
     """Serial number of the target; the drawing shows it."""
-    squares: tuple[Squares, Squares] = (50, 72)
+    squares: tuple[Squares, Squares] = (StarTarget.squares_x, StarTarget.squares_y)
     # Squares that a camera can tell apart behind a collimator: those in metres or micrometres are refused.
-    pitch_mm: Annotated[float, Within(0.05, 500, "mm")] = 144.5 / 36
-    segments: int = 16
-    tag_family: str = "36h11"
-    tag_id: int = 3
-    tag_square: tuple[int, int] = (23, 34)
-    tag_squares: int = 4
+    pitch_mm: Annotated[float, Within(0.05, 500, "mm")] = StarTarget.pitch_mm
+    segments: int = StarTarget.segments
+    tag_family: str = StarTarget.tag_family
+    tag_id: int = StarTarget.tag_id
+    tag_square: tuple[int, int] = StarTarget.tag_square
+    tag_squares: int = StarTarget.tag_squares
     polarity: Polarity = "positive"
     """positive: the black parts of the pattern are opaque; negative: the white parts are."""
     drawing: DrawingConfig = DrawingConfig()

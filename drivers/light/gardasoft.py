@@ -40,7 +40,8 @@ REFUSALS = {
 }
 """Meanings of the error numbers."""
 _DELAY_MS = 0.01
-"""The shortest delay from trigger to pulse, in milliseconds; the same for lamp and sync."""
+"""The shortest delay from trigger to pulse that all such controllers take (VTR manuals: 0.01 to 999), in milliseconds;
+the same for lamp and sync."""
 
 
 class RtLine(TextLine):

@@ -37,7 +37,7 @@ class ThorlabsController(AxisController):
     """
 
     SILENT_REMEDY = f"Check that the controller is switched on, and its port. {apt.NO_BAYS}"
-    reply_s = 0.5
+    reply_s = 0.5  # The longest message takes 23 ms; the rest is for a busy computer
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self._sign_of_life = b""

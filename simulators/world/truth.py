@@ -30,7 +30,7 @@ from simulators.reading import (
 )
 from simulators.world.gimbal import GimbalTruth
 
-PITCH_MM: Final = 144.5 / 36.0
+PITCH_MM: Final = StarTarget.pitch_mm
 """Side of a square of the printed target, mm."""
 
 _FocalLength = Annotated[
