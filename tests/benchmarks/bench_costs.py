@@ -8,10 +8,9 @@ other work on the computer hardly changes, and its 95th percentile. The scaling 
 """
 
 import resource
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import measured
 from measured import Spread
@@ -29,18 +28,6 @@ POSES_OF_A_NIGHT, RUNS_OF_A_NIGHT = 540, 60
 CAPTURES = 1_000_000
 _POSES = 9
 """Poses of a run, where runs are counted."""
-
-
-class Costs(NamedTuple):
-    """What was measured: CPU times of a pose and of a run of nine poses; sizes."""
-
-    find_s: float
-    fit_s: float
-    files_s: float
-    recording_mb: float
-    events_m: float
-    memory_mb: float
-    program_mb: float
 
 
 def main() -> None:
@@ -75,18 +62,13 @@ def main() -> None:
     run = {what: measured.cpu_times(rounds, work) for what, work in of_a_run.items()}
     hashed, _, found, _ = (took.median_s for took in pose.values())
     fit_s, files_s = (took.median_s for took in run.values())
-    costs = Costs(
-        find_s=hashed + found,
-        fit_s=fit_s,
-        files_s=files_s,
-        recording_mb=sum(path.stat().st_size for path in paths) / poses / 1e6,
-        events_m=sum(_decode(path) for path in paths) / poses / 1e6,
-        memory_mb=_peak_mb(),
-        program_mb=before_mb,
-    )
     _print_parts(pose, run, poses)
-    _print_sizes(costs)
-    _print_sums(costs, paths, options.scaling)
+    recording_mb = sum(path.stat().st_size for path in paths) / poses / 1e6
+    events_m = sum(_decode(path) for path in paths) / poses / 1e6
+    print("\n| size | |\n| --- | ---: |")
+    print(f"| a recording | {recording_mb:.2f} MB, {events_m:.2f} million events |")
+    print(f"| memory of a worker, largest | {_peak_mb():.0f} MB ({before_mb:.0f} MB of it are the program) |")
+    _print_sums((hashed + found, fit_s, files_s, 1e6 * recording_mb), poses, options.scaling)
 
 
 def _check(path: Path) -> Any:
@@ -112,19 +94,12 @@ def _print_parts(pose: dict[str, Spread], run: dict[str, Spread], poses: int) ->
         print(f"| a run of {poses} poses: {what} | {took.cells(2)} |")
 
 
-def _print_sizes(costs: Costs) -> None:
-    print("\n| size | |\n| --- | ---: |")
-    print(f"| a recording | {costs.recording_mb:.2f} MB, {costs.events_m:.2f} million events |")
-    sizes = f"{costs.memory_mb:.0f} MB ({costs.program_mb:.0f} MB of it are the program)"
-    print(f"| memory of a worker, largest | {sizes} |")
-
-
-def _print_sums(costs: Costs, paths: Sequence[Path], scaling: float) -> None:
-    """Print CPU time and duration of a night and of many captures."""
-    find, fit, files, each = costs.find_s, costs.fit_s, costs.files_s, costs.recording_mb * 1e6
+def _print_sums(costs: tuple[float, float, float, float], poses: int, scaling: float) -> None:
+    """Print CPU time and duration of a night and of many captures, by those of a pose and of a run, s, and bytes."""
+    find, fit, files, each = costs
     runs_of_captures = CAPTURES / _POSES
     amounts = {
-        f"a run of {len(paths)} poses": (find * len(paths), fit, files, each * len(paths)),
+        f"a run of {poses} poses": (find * poses, fit, files, each * poses),
         f"a night: {RUNS_OF_A_NIGHT} runs, {POSES_OF_A_NIGHT} poses": (
             find * POSES_OF_A_NIGHT, fit * RUNS_OF_A_NIGHT, files * RUNS_OF_A_NIGHT, each * POSES_OF_A_NIGHT,
         ),

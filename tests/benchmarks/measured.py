@@ -43,23 +43,6 @@ def options(described: str | None) -> argparse.ArgumentParser:
     )
 
 
-def command_s(home: Path, *words: str) -> float:
-    """Call a command with a home; return its CPU time."""
-    environment = os.environ | {"STARBENCH_HOME": str(home)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bench", *words],
-        cwd=ROOT,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(words)}: status {process.returncode}")
-    return usage.ru_utime + usage.ru_stime
-
-
 def seeds(text: str) -> range:
     """Read seeds: first-last, or one seed."""
     first, _, last = text.partition("-")

@@ -29,7 +29,7 @@ defaults:
   light: {frequency_hz: 240}
   settle: {duration_s: 0.1}
   record: {window_ms: 8.4, attempts: 1}
-  solve: {model: %s, distortion: [k1, k2]}
+  solve: {model: spherical, distortion: [k1, k2]}
 steps:
   - light
   - until: %s
@@ -88,7 +88,7 @@ def write_queue(path, *jobs, head="name: Night\n"):
     return path
 
 
-def write_until(path, until, model="spherical"):
+def write_until(path, until):
     """A sequence that chooses its poses; ``until`` is the mapping of the step as text."""
-    path.write_text(UNTIL % (model, until))
+    path.write_text(UNTIL % until)
     return path

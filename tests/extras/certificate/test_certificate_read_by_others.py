@@ -82,78 +82,91 @@ def running_text(path):
     return "\n".join([*(line for page in lines for line in page if line not in repeated), *repeated])
 
 
-class TestPoppler:
-    @pytest.mark.parametrize("name", ["full", "small"])
-    def test_every_number_and_text(self, name, request):
-        certificate = full_certificate() if name == "full" else small_certificate()
-        text = running_text(request.getfixturevalue(name))
-        assert missing_numbers(certificate, text) == []
-        assert missing_texts(certificate, text) == []
-
-    @pytest.mark.parametrize("name", ["full", "small"])
-    def test_each_page_has_number_and_page_of_pages(self, name, request):
-        all_pages = pages(request.getfixturevalue(name))
-        number = (full_certificate() if name == "full" else small_certificate()).number
-        for at, page in enumerate(all_pages, 1):
-            assert f"page {at} of {len(all_pages)}" in page
-            assert f"Certificate {number}" in page
-            assert ("SIMULATED" in page) == (name == "full")
-            assert (f"END OF CERTIFICATE {number}" in page) == (at == len(all_pages))
-
-    def test_attached_files_come_out_with_the_same_bytes(self, full, tmp_path):
-        output_of("pdfdetach", "-saveall", "-o", tmp_path, full)
-        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == ATTACHED
-
-    def test_every_font_is_embedded(self, full):
-        rows = output_of("pdffonts", full).splitlines()[2:]
-        assert rows
-        for row in rows:
-            embedded, subset, unicode = row.split()[-5:-2]
-            assert (embedded, subset, unicode) == ("yes", "yes", "yes"), row
-            assert re.search("LibertinusSerif|DejaVuSansMono", row)
-
-    def test_title_language_dates_and_no_script(self, full):
-        shown = output_of("pdfinfo", full)
-        assert re.search(r"Title: +SIMULATED .*SIMULATED-SB-2026-00017\n", shown)
-        assert re.search(r"JavaScript: +no\n", shown)
-        assert re.search(r"Tagged: +yes\n", shown)
-        assert re.search(r"Encrypted: +no\n", shown)
-        assert "2026" in re.search(r"CreationDate: +(.*)\n", shown)[1]
+# ---------------------------------------------------------------- poppler
 
 
-class TestQpdf:
-    @pytest.mark.parametrize("name", ["full", "small"])
-    def test_check(self, name, request):
-        assert "errors found" in output_of("qpdf", "--check", request.getfixturevalue(name))
+@pytest.mark.parametrize("name", ["full", "small"])
+def test_poppler_shows_every_number_and_text(name, request):
+    certificate = full_certificate() if name == "full" else small_certificate()
+    text = running_text(request.getfixturevalue(name))
+    assert missing_numbers(certificate, text) == []
+    assert missing_texts(certificate, text) == []
 
 
-class TestPikepdf:
-    @pytest.fixture
-    def opened(self, full):
-        pikepdf = pytest.importorskip("pikepdf", reason="pikepdf is not installed")
-        with pikepdf.open(full) as pdf:
-            yield pdf
+@pytest.mark.parametrize("name", ["full", "small"])
+def test_each_page_has_number_and_page_of_pages(name, request):
+    all_pages = pages(request.getfixturevalue(name))
+    number = (full_certificate() if name == "full" else small_certificate()).number
+    for at, page in enumerate(all_pages, 1):
+        assert f"page {at} of {len(all_pages)}" in page
+        assert f"Certificate {number}" in page
+        assert ("SIMULATED" in page) == (name == "full")
+        assert (f"END OF CERTIFICATE {number}" in page) == (at == len(all_pages))
 
-    def test_claims_pdf_a_3a_and_pdf_ua_1(self, opened):
-        tree = ET.fromstring(opened.Root.Metadata.read_bytes())
-        assert [element.text for element in tree.iter(f"{PDFAID}part")] == ["3"]
-        assert [element.text for element in tree.iter(f"{PDFAID}conformance")] == ["A"]
-        assert [element.text for element in tree.iter(f"{PDFUAID}part")] == ["1"]
 
-    def test_every_figure_has_a_description(self, opened):
-        tree = elements(opened.Root.StructTreeRoot)
-        figures = [element for element in tree if element.get("/S") == "/Figure"]
-        assert len(figures) == 5
-        assert all(len(str(element.get("/Alt", ""))) > 40 for element in figures)
+def test_attached_files_come_out_with_the_same_bytes(full, tmp_path):
+    output_of("pdfdetach", "-saveall", "-o", tmp_path, full)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == ATTACHED
 
-    def test_attached_files_are_associated_with_the_document(self, opened):
-        relations = {str(attached.UF): str(attached.AFRelationship) for attached in opened.Root.AF}
-        assert relations == {"dcc.xml": "/Alternative", "results.json": "/Source", "wire.bin": "/Supplement"}
-        assert {str(attached.EF.F.Subtype) for attached in opened.Root.AF} == {
-            "/application/xml",
-            "/application/json",
-            "/application/octet-stream",
-        }
+
+def test_every_font_is_embedded(full):
+    rows = output_of("pdffonts", full).splitlines()[2:]
+    assert rows
+    for row in rows:
+        embedded, subset, unicode = row.split()[-5:-2]
+        assert (embedded, subset, unicode) == ("yes", "yes", "yes"), row
+        assert re.search("LibertinusSerif|DejaVuSansMono", row)
+
+
+def test_title_language_dates_and_no_script(full):
+    shown = output_of("pdfinfo", full)
+    assert re.search(r"Title: +SIMULATED .*SIMULATED-SB-2026-00017\n", shown)
+    assert re.search(r"JavaScript: +no\n", shown)
+    assert re.search(r"Tagged: +yes\n", shown)
+    assert re.search(r"Encrypted: +no\n", shown)
+    assert "2026" in re.search(r"CreationDate: +(.*)\n", shown)[1]
+
+
+# ---------------------------------------------------------------- qpdf
+
+
+@pytest.mark.parametrize("name", ["full", "small"])
+def test_qpdf_finds_nothing_wrong(name, request):
+    assert "errors found" in output_of("qpdf", "--check", request.getfixturevalue(name))
+
+
+# ---------------------------------------------------------------- pikepdf
+
+
+@pytest.fixture
+def opened(full):
+    pikepdf = pytest.importorskip("pikepdf", reason="pikepdf is not installed")
+    with pikepdf.open(full) as pdf:
+        yield pdf
+
+
+def test_it_claims_pdf_a_3a_and_pdf_ua_1(opened):
+    tree = ET.fromstring(opened.Root.Metadata.read_bytes())
+    assert [element.text for element in tree.iter(f"{PDFAID}part")] == ["3"]
+    assert [element.text for element in tree.iter(f"{PDFAID}conformance")] == ["A"]
+    assert [element.text for element in tree.iter(f"{PDFUAID}part")] == ["1"]
+
+
+def test_every_figure_has_a_description(opened):
+    tree = elements(opened.Root.StructTreeRoot)
+    figures = [element for element in tree if element.get("/S") == "/Figure"]
+    assert len(figures) == 5
+    assert all(len(str(element.get("/Alt", ""))) > 40 for element in figures)
+
+
+def test_attached_files_are_associated_with_the_document(opened):
+    relations = {str(attached.UF): str(attached.AFRelationship) for attached in opened.Root.AF}
+    assert relations == {"dcc.xml": "/Alternative", "results.json": "/Source", "wire.bin": "/Supplement"}
+    assert {str(attached.EF.F.Subtype) for attached in opened.Root.AF} == {
+        "/application/xml",
+        "/application/json",
+        "/application/octet-stream",
+    }
 
 
 def elements(root):
@@ -167,63 +180,65 @@ def elements(root):
             yield from elements(kid)
 
 
-class TestOpenSsh:
-    def test_the_printed_commands_verify_the_certificate(self, small, tmp_path):
-        program("ssh-keygen"), program("sha256sum")
-        (tmp_path / "certificate.pdf").write_bytes(small.read_bytes())
-        listed = f"{hashlib.sha256(small.read_bytes()).hexdigest()}  certificate.pdf\n"
-        (tmp_path / "SHA256SUMS").write_text(listed)
-        signers = []
-        for name, namespace, signed in (
-            ("bench@lab", "starbench-report@v1", "SHA256SUMS"),
-            ("grace.hopper", "starbench-authorisation@v1", "SHA256SUMS.sig"),
-        ):
-            output_of("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", name, "-f", tmp_path / name)
-            output_of(
-                "ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / name, "-n", namespace, tmp_path / signed
-            )
-            signers.append(f'{name} namespaces="{namespace}" {(tmp_path / f"{name}.pub").read_text()}')
-        (tmp_path / "SHA256SUMS.sig.sig").rename(tmp_path / "SHA256SUMS.authorised.sig")
-        (tmp_path / "allowed_signers").write_text("".join(signers))
-        text = "\n".join(pages(small))
-        commands = re.findall(
-            r"^(?:ssh-keygen -Y verify|sha256sum --strict)[^<]*?(?:< [\w.]+|SHA256SUMS)$", text, re.MULTILINE
-        )
-        assert len(commands) == 3
-        answers = [output_of("sh", "-c", command, cwd=tmp_path) for command in commands]
-        assert "bench@lab" in answers[0]
-        assert answers[1] == "certificate.pdf: OK\n"
-        assert "grace.hopper" in answers[2]
+# ---------------------------------------------------------------- OpenSSH
 
 
-class TestLongTexts:
-    def test_no_word_is_lost_and_none_leaves_the_paper(self, tmp_path):
-        """Texts longer than a page, in places that otherwise stay on one page."""
-        full, said_words = full_certificate(), []
+def test_the_printed_commands_verify_the_certificate(small, tmp_path):
+    program("ssh-keygen"), program("sha256sum")
+    (tmp_path / "certificate.pdf").write_bytes(small.read_bytes())
+    listed = f"{hashlib.sha256(small.read_bytes()).hexdigest()}  certificate.pdf\n"
+    (tmp_path / "SHA256SUMS").write_text(listed)
+    signers = []
+    for name, namespace, signed in (
+        ("bench@lab", "starbench-report@v1", "SHA256SUMS"),
+        ("grace.hopper", "starbench-authorisation@v1", "SHA256SUMS.sig"),
+    ):
+        output_of("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", name, "-f", tmp_path / name)
+        output_of("ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / name, "-n", namespace, tmp_path / signed)
+        signers.append(f'{name} namespaces="{namespace}" {(tmp_path / f"{name}.pub").read_text()}')
+    (tmp_path / "SHA256SUMS.sig.sig").rename(tmp_path / "SHA256SUMS.authorised.sig")
+    (tmp_path / "allowed_signers").write_text("".join(signers))
+    text = "\n".join(pages(small))
+    commands = re.findall(
+        r"^(?:ssh-keygen -Y verify|sha256sum --strict)[^<]*?(?:< [\w.]+|SHA256SUMS)$", text, re.MULTILINE
+    )
+    assert len(commands) == 3
+    answers = [output_of("sh", "-c", command, cwd=tmp_path) for command in commands]
+    assert "bench@lab" in answers[0]
+    assert answers[1] == "certificate.pdf: OK\n"
+    assert "grace.hopper" in answers[2]
 
-        def long(tag):
-            said_words.extend(f"{tag}{number}" for number in range(900))
-            return " ".join(said_words[-900:])
 
-        certificate = dataclasses.replace(
-            full,
-            item=dataclasses.replace(full.item, condition=long("condition")),
-            customer=full.customer.model_copy(update={"name": "N" * 2000}),
-            amends=dataclasses.replace(full.amends, reason=long("reason")),
-            method=full.method.model_copy(update={"text": long("method")}),
-            conformity=(dataclasses.replace(full.conformity[0], specification=long("specification")),),
-            authorised_by=full.authorised_by.model_copy(update={"role": long("role")}),
-            opinions=(long("opinion"),),
-            conditions=full.conditions * 30,
-        )
-        path = tmp_path / "certificate.pdf"
-        path.write_bytes(render_pdf(certificate, {}, {}, {}))
-        assert set(said_words) <= set(re.split(r"[\s,]+", "\n".join(pages(path))))
-        boxes = re.findall(
-            r'xMin="(\S+)" yMin="(\S+)" xMax="(\S+)" yMax="(\S+)"', output_of("pdftotext", "-bbox", path, "-")
-        )
-        at = np.array(boxes, float)
-        assert len(at) > len(said_words)
-        assert (at[:, :2] >= 0).all()
-        assert (at[:, 2] <= 595.3).all()
-        assert (at[:, 3] <= 841.9).all()
+# ---------------------------------------------------------------- long texts
+
+
+def test_no_word_is_lost_and_none_leaves_the_paper(tmp_path):
+    """Texts longer than a page, in places that otherwise stay on one page."""
+    full, said_words = full_certificate(), []
+
+    def long(tag):
+        said_words.extend(f"{tag}{number}" for number in range(900))
+        return " ".join(said_words[-900:])
+
+    certificate = dataclasses.replace(
+        full,
+        item=dataclasses.replace(full.item, condition=long("condition")),
+        customer=full.customer.model_copy(update={"name": "N" * 2000}),
+        amends=dataclasses.replace(full.amends, reason=long("reason")),
+        method=full.method.model_copy(update={"text": long("method")}),
+        conformity=(dataclasses.replace(full.conformity[0], specification=long("specification")),),
+        authorised_by=full.authorised_by.model_copy(update={"role": long("role")}),
+        opinions=(long("opinion"),),
+        conditions=full.conditions * 30,
+    )
+    path = tmp_path / "certificate.pdf"
+    path.write_bytes(render_pdf(certificate, {}, {}, {}))
+    assert set(said_words) <= set(re.split(r"[\s,]+", "\n".join(pages(path))))
+    boxes = re.findall(
+        r'xMin="(\S+)" yMin="(\S+)" xMax="(\S+)" yMax="(\S+)"', output_of("pdftotext", "-bbox", path, "-")
+    )
+    at = np.array(boxes, float)
+    assert len(at) > len(said_words)
+    assert (at[:, :2] >= 0).all()
+    assert (at[:, 2] <= 595.3).all()
+    assert (at[:, 3] <= 841.9).all()

@@ -16,9 +16,9 @@ NEVER = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"
 pytestmark = pytest.mark.usefixtures("coarse")
 
 
-def until_scene(folder, until=NEVER, model="spherical", **more):
+def until_scene(folder, until=NEVER, **more):
     folder.mkdir(parents=True, exist_ok=True)
-    return Scene(folder, sequence=write_until(folder / "sequence.yaml", until, model), **more)
+    return Scene(folder, sequence=write_until(folder / "sequence.yaml", until), **more)
 
 
 def decisions(scene):
