@@ -7,7 +7,6 @@ falls into a sync (consistency; an acknowledgement given while the cut happens m
 """
 
 import random
-import re
 import signal
 import subprocess
 import sys
@@ -15,6 +14,7 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from bench.base.clock import BenchClock
 from bench.record.journal import Journal, read_journal, stored_captures
@@ -51,11 +51,6 @@ while True:
 """
 
 
-def wait_until_stopped(pid):
-    while re.search(r"\) (\w) ", Path(f"/proc/{pid}/stat").read_text())[1] != "T":
-        time.sleep(0.001)
-
-
 def write_until_cut(disk, path, *, frozen, after_s):
     """Let a process write poses, cut the power, and return the number of the last one acknowledged."""
     with subprocess.Popen(
@@ -65,7 +60,7 @@ def write_until_cut(disk, path, *, frozen, after_s):
         time.sleep(after_s)
         if frozen:
             writer.send_signal(signal.SIGSTOP)
-            wait_until_stopped(writer.pid)
+            wait_until(lambda: ") T " in Path(f"/proc/{writer.pid}/stat").read_text(), 60.0)
         disk.cut_power()
         writer.send_signal(signal.SIGKILL)
         acknowledged = writer.stdout.read().splitlines()

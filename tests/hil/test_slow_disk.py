@@ -5,6 +5,7 @@ import time
 import pytest
 from quick_runs import write_queue, write_sequence, write_station
 from running import PATIENCE_S, journal, start
+from waiting import wait_until
 
 STANDS_STILL_S = 12.0
 
@@ -21,9 +22,7 @@ def test_a_disk_that_stands_still_is_waited_for(tmp_path, disk):
     queue = write_queue(tmp_path / "queue.yaml", f"{job}, settings: {{station.disk.min_free_gb: 0.01}}")
     night = disk.mounted / "night"
     process = start("batch", queue, "-o", night, home=tmp_path / "home")
-    deadline = time.monotonic() + PATIENCE_S
-    while stored(night / "runs" / "a-001") < 2 and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_until(lambda: stored(night / "runs" / "a-001") >= 2 or process.poll() is not None, PATIENCE_S)
     disk.freeze()
     time.sleep(STANDS_STILL_S)
     disk.thaw()

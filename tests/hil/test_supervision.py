@@ -153,9 +153,7 @@ def test_a_driver_that_never_returns_is_noticed_within_ten_seconds(tmp_path, han
 def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed(tmp_path):
     folder, clock = tmp_path / "run", Looks()
     with subprocess.Popen([sys.executable, "-c", WORKER, str(folder), BLOCKS]) as worker:
-        while not any(line["event"] == "deviation" for line in journal(folder)):
-            time.sleep(0.01)
-            assert worker.poll() is None
+        wait_for(worker, folder, lambda line: line["event"] == "deviation")
         end = adopt(folder, clock, print)
         assert end is not None
         assert clock.saw_it_at_once(end)

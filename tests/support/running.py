@@ -122,16 +122,10 @@ def journal(folder: Path) -> list[dict]:
 
 def end_when(process: subprocess.Popen[str], folder: Path, reached, number=signal.SIGKILL) -> str:
     """Send a signal as soon as the journal shows what is waited for; return what the process said on stderr."""
-    deadline = time.monotonic() + PATIENCE_S
-    while process.poll() is None and time.monotonic() < deadline:
-        if any(map(reached, journal(folder))):
-            process.send_signal(number)
-            break
-        time.sleep(0.003)
-    else:
-        process.kill()
-        raise AssertionError(f"it ended, or hung, before that: {process.communicate()[1]}")
-    return process.communicate(timeout=PATIENCE_S)[1]
+    with killed_at_end(process):
+        wait_for(process, folder, reached)
+        process.send_signal(number)
+        return process.communicate(timeout=PATIENCE_S)[1]
 
 
 def wait_for(process: subprocess.Popen[str], folder: Path, reached, seen: int = 0) -> None:

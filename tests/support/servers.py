@@ -18,17 +18,12 @@ class MailServer(socketserver.ThreadingTCPServer):
     @property
     def section(self):
         """The section of a station file that sends messages here."""
-        return mail_section(self.server_address[1])
+        mail = f"host: 127.0.0.1, port: {self.server_address[1]}, security: none"
+        return f"\nmessages: {{mail: {{{mail}, sender: b@lab.example, to: [a@lab.example]}}}}\n"
 
     @property
     def subjects(self):
         return [letter["Subject"] for letter in self.letters]
-
-
-def mail_section(port):
-    """Return the section of a station file that sends messages to a mail server on this computer."""
-    mail = f"host: 127.0.0.1, port: {port}, security: none, sender: b@lab.example, to: [a@lab.example]"
-    return f"\nmessages: {{mail: {{{mail}}}}}\n"
 
 
 class _MailSession(socketserver.StreamRequestHandler):

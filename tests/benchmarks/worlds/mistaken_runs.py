@@ -87,10 +87,6 @@ def _section(name: str, **values: Any) -> Callable[[Station], None]:
     return lambda station: station.setdefault(name, {}).update(values)
 
 
-def _level(station: Station) -> None:
-    station["light"]["high_v"] = 2
-
-
 RUN_MISTAKES: Mapping[str, RunMistake] = {
     "aperture f/11 instead of f/2.8": RunMistake(_simulation("lens", f_number=11.0), kinds.WEAK, "aperture"),
     "aperture f/16": RunMistake(_simulation("lens", f_number=16.0), kinds.WEAK, "open the aperture"),
@@ -115,7 +111,7 @@ RUN_MISTAKES: Mapping[str, RunMistake] = {
     "frequency of the sequence changed": RunMistake(named=(kinds.LIGHT,), light={"hz": 180.0}),
     "duty of the sequence changed": RunMistake(named=(kinds.LIGHT,), light={"duty": 20.0}),
     "duty of the lamp times 0.3": RunMistake(_lamp("wrong_duty", factor=0.3), (kinds.LIGHT,)),
-    "level of the light lowered": RunMistake(_level, (kinds.LIGHT,)),
+    "level of the light lowered": RunMistake(_section("light", high_v=2), (kinds.LIGHT,)),
     "lamp dimmed to a tenth": RunMistake(_lamp("dim", factor=0.1), kinds.WEAK, "lamp"),
     "lamp dimmed to a quarter": RunMistake(_lamp("dim", factor=0.25), kinds.WEAK),
     "lamp dimmed to a half": RunMistake(_lamp("dim", factor=0.5), kinds.WEAK),
