@@ -7,16 +7,11 @@ Results are kept in a file: after Ctrl-C, the same command continues, and ``--re
 
 import measured
 from compared.pictures import draw_image_counts
-from compared.repetitions import columns_here, options, repeated
-from compared.summary import table
+from compared.repetitions import compare
 
 
 def main() -> None:
-    given = options(__doc__, "image_counts.jsonl")
-    rows, columns = repeated("sweep", given), columns_here("sweep")
-    if given.pictures:
-        draw_image_counts(columns, rows, measured.origin("bench_image_counts.py"), given.pictures)
-    print(table(columns, rows))
+    compare("sweep", __doc__, draw_image_counts)
 
 
 if __name__ == "__main__":

@@ -8,16 +8,11 @@ Results are kept in a file: after Ctrl-C, the same command continues, and ``--re
 
 import measured
 from compared.pictures import draw_errors
-from compared.repetitions import columns_here, options, repeated
-from compared.summary import table
+from compared.repetitions import compare
 
 
 def main() -> None:
-    given = options(__doc__, "table1.jsonl")
-    rows, columns = repeated("table1", given), columns_here("table1")
-    if given.pictures:
-        draw_errors(columns, rows, measured.origin("bench_table1.py"), given.pictures)
-    print(table(columns, rows))
+    compare("table1", __doc__, draw_errors)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from waiting import wait_until
+
+from tests.support.waiting import wait_until
 
 CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
 FLAGS = [

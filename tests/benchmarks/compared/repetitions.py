@@ -7,7 +7,7 @@ import argparse
 import hashlib
 import sys
 from collections import defaultdict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,6 +20,7 @@ from bench.base.program import forms
 from .columns import Column, read_comparison
 from .methods import Row, rows_of
 from .scenes import recordings_key
+from .summary import table
 
 Key = tuple[str, int, int, str]
 """Name of the comparison, group of columns, seed, and a hash of all that the result depends on."""
@@ -62,8 +63,7 @@ def _do(*key: Any) -> dict[str, Any]:
     return {"key": key, "rows": rows_of(_groups(comparison)[group], seed)}
 
 
-def options(described: str | None, kept: str) -> argparse.Namespace:
-    """Read the options that the benchmarks of comparisons have in common."""
+def _options(described: str | None, kept: str) -> argparse.Namespace:
     parser = measured.options(described)
     parser.add_argument("--repetitions", type=int)
     parser.add_argument("--kept", type=Path, default=Path(kept))
@@ -73,7 +73,7 @@ def options(described: str | None, kept: str) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def repeated(comparison: str, given: argparse.Namespace) -> list[list[Row]]:
+def _repeated(comparison: str, given: argparse.Namespace) -> list[list[Row]]:
     """Return the rows of each of `columns_here`; what the file does not hold yet is measured and added to it."""
     asked = keys_of(comparison, given.repetitions or read_comparison(comparison).repetitions)
     done = measured.kept(given.kept, lambda line: tuple(line["key"]))
@@ -84,3 +84,12 @@ def repeated(comparison: str, given: argparse.Namespace) -> list[list[Row]]:
         for name, row in done[key]["rows"].items():
             rows[name].append(row)
     return [rows[column.name] for column in columns_here(comparison)]
+
+
+def compare(comparison: str, described: str | None, draw: Callable[..., None]) -> None:
+    """Do a comparison as its benchmark's options say: print its table, and draw its pictures."""
+    given = _options(described, f"{comparison}.jsonl")
+    rows, columns = _repeated(comparison, given), columns_here(comparison)
+    if given.pictures:
+        draw(columns, rows, measured.origin(Path(sys.argv[0]).name), given.pictures)
+    print(table(columns, rows))

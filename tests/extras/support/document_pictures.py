@@ -6,7 +6,6 @@ It runs the demonstration, aligns the simulated bench, and watches a second run.
 """
 
 import io
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -14,18 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image
-from playwright.sync_api import sync_playwright
 
 from bench.extras.pages.align.align_app import align_app
 from bench.extras.pages.align.session import Session
 from bench.extras.pages.panel.panel_app import panel_app
 from bench.stations.station import load_station
 from tests.extras.support.pages import served
+from tests.support.align_browser import running_chromium
 from tests.support.waiting import wait_until
 
 PICTURES = Path(__file__).parents[3] / "docs" / "pictures"
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
-FLAGS += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
 WIDTH_PX = 1160
 PARTS = {"report.png": ("Calibration report", 1180), "report-plots.png": ("Where the result holds", 420)}
 """Heading with which each picture of the report begins, and its height, px."""
@@ -115,18 +112,13 @@ def panel_picture(browser: Any, runs: Path) -> None:
 
 def main() -> None:
     """Make all pictures."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        raise SystemExit("Chromium is not installed.")
-    with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
+    with tempfile.TemporaryDirectory() as name, running_chromium() as browser:
         runs = Path(name) / "runs"
         demo = ["run", "three_pose", "--station", "simulated", "--output", str(runs / "demo")]
         subprocess.run([sys.executable, "-m", "bench", *demo], check=True)
-        browser = driver.chromium.launch(executable_path=chromium, args=FLAGS)
         report_pictures(browser, runs / "demo")
         align_picture(browser)
         panel_picture(browser, runs)
-        browser.close()
 
 
 if __name__ == "__main__":
