@@ -44,7 +44,30 @@ class VirtualClock(TurnedClock):
         super().__init__(100.0)
 
 
-class DirectLine:
+class TurningPort:
+    """A port where each wait for a reply turns the clock."""
+
+    STEP_S = 0.05
+    clock: VirtualClock
+    ready: bytes
+
+    def read(self, timeout_s: float) -> bytes:
+        end_s = self.clock.now_s + timeout_s
+        self.hear()
+        while not self.ready and self.clock.now_s < end_s:
+            self.clock.now_s = min(end_s, self.clock.now_s + self.STEP_S)
+            self.hear()
+        data, self.ready = self.ready, b""
+        return data
+
+    def hear(self) -> None:
+        """Add what the device says unasked to what is ready; most say nothing."""
+
+    def close(self) -> None:
+        """Close nothing."""
+
+
+class DirectLine(TurningPort):
     """A port without a terminal: bytes pass to the simulated device and back in no time.
 
     It keeps what was sent. It can lose requests, change replies, and let something happen before a request. To orders
@@ -52,7 +75,6 @@ class DirectLine:
     """
 
     name = "direct"
-    STEP_S = 0.05
 
     def __init__(self, device: FaultLine, clock: VirtualClock) -> None:
         self.device = device
@@ -76,15 +98,6 @@ class DirectLine:
         reply = self.device.receive(data) if alike else bytes(0x80 | byte for byte in data)
         self.ready += self.spoil(reply) if reply else b""
 
-    def read(self, timeout_s: float) -> bytes:
-        end_s = self.clock.now_s + timeout_s
-        self._hear()
-        while not self.ready and self.clock.now_s < end_s:
-            self.clock.now_s = min(end_s, self.clock.now_s + self.STEP_S)
-            self._hear()
-        data, self.ready = self.ready, b""
-        return data
-
     def error_of(self, act: Callable[[], object], longest_s: float) -> DriverError | None:
         """Return the error of a driver that an act ends in, if any; it must come within this time."""
         began_s, error = self.clock.now_s, None
@@ -103,7 +116,7 @@ class DirectLine:
         self.spoil = whole
         self.sent.clear()
 
-    def _hear(self) -> None:
+    def hear(self) -> None:
         self.ready += self.device.unsolicited()
         self._see_the_plug()
 

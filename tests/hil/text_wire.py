@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.hil.direct_stages import VirtualClock
+from tests.hil.direct_stages import TurningPort, VirtualClock
 
 SPEED = 20.0
 """Degrees a second of all these stages."""
@@ -40,7 +40,7 @@ class Motor:
         return self.position_deg != self.to_deg
 
 
-class Wire:
+class Wire(TurningPort):
     """A port to a fake controller: requests with an end, replies at once, and what comes later unasked."""
 
     name = "wire"
@@ -62,17 +62,8 @@ class Wire:
             self.sent.append(request)
             self.ready += self.answer(request).encode()
 
-    def read(self, timeout_s: float) -> bytes:
-        end_s = self.clock.now_s + timeout_s
+    def hear(self) -> None:
         self.ready += self.unasked().encode()
-        while not self.ready and self.clock.now_s < end_s:
-            self.clock.now_s = min(end_s, self.clock.now_s + 0.05)
-            self.ready += self.unasked().encode()
-        data, self.ready = self.ready, b""
-        return data
-
-    def close(self) -> None:
-        pass
 
 
 LINES = re.compile(rb"([^\r\n]*)[\r\n]+")

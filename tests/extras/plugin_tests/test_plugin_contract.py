@@ -5,7 +5,8 @@ The families without terminals: test_stage_families.py, test_light_families.py.
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
+from functools import partial
 from typing import Any, ClassVar
 
 import pytest
@@ -20,6 +21,16 @@ from simulators.world.world import LightState, World
 from tests.hil.evk4_host import FLICKER, SMALL
 
 STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
+
+
+@contextmanager
+def in_light(light: LightState, camera_of: Callable[[World], Any]) -> Iterator[Any]:
+    """A simulated camera that looks at a light."""
+    world = World(SMALL, seed=1)
+    world.set_light(light)
+    with closing(camera_of(world)) as camera:
+        camera.start()
+        yield camera
 
 
 def axis(end_deg: float = 15.0, **more: Any) -> Mapping[str, Any]:
@@ -97,13 +108,8 @@ class TestSimulatedEvk4(CameraContract):
     biases: ClassVar[Mapping[str, int]] = {"bias_diff_on": 5, "bias_fo": -3}
     impossible_biases: ClassVar[Mapping[str, int]] = {"bias_diff_on": 5000}
 
-    @contextmanager
-    def connected(self) -> Iterator[SimulatedEvk4]:
-        world = World(SMALL, seed=1)
-        world.set_light(FLICKER)
-        with closing(SimulatedEvk4(world, paced=True)) as camera:
-            camera.start()
-            yield camera
+    def connected(self) -> AbstractContextManager[Any]:
+        return in_light(FLICKER, partial(SimulatedEvk4, paced=True))
 
 
 @pytest.mark.slow
@@ -114,10 +120,5 @@ class TestSimulatedFrameCamera(FrameCameraContract):
     other_serial = "8"
     impossible_settings: ClassVar[Mapping[str, float]] = {"exposure": 0.01}
 
-    @contextmanager
-    def connected(self) -> Iterator[FrameCamera]:
-        world = World(SMALL, seed=1)
-        world.set_light(STEADY)
-        with closing(FrameCamera(world)) as camera:
-            camera.start()
-            yield camera
+    def connected(self) -> AbstractContextManager[Any]:
+        return in_light(STEADY, FrameCamera)

@@ -14,7 +14,7 @@ from drivers.serial_port import LineSettings, SerialPort
 from drivers.stage.thorlabs_controller import ThorlabsController
 from drivers.stage.thorlabs_messages import INFORMATION_LAYOUT, size
 from drivers.stage.zaber import ZaberStage
-from tests.hil.direct_stages import VirtualClock
+from tests.hil.direct_stages import TurningPort, VirtualClock
 from tests.unit.drivers.light.generator_bench import Bench as GeneratorBench
 from tests.unit.drivers.stage.grbl_bench import Bench as GrblBench
 from tests.unit.drivers.stage.zaber_bench import Bench as ZaberBench
@@ -23,7 +23,7 @@ from tests.unit.drivers.stage.zaber_bench import axes
 pytestmark = pytest.mark.usefixtures("never_late")
 
 
-class OtherDevice:
+class OtherDevice(TurningPort):
     """A port at which each piece of bytes is answered as a function says."""
 
     name = "other"
@@ -34,14 +34,6 @@ class OtherDevice:
 
     def write(self, data: bytes) -> None:
         self.ready += self.answer(data)
-
-    def read(self, timeout_s: float) -> bytes:
-        data, self.ready = self.ready, b""
-        self.clock.sleep(0.0 if data else timeout_s)
-        return data
-
-    def close(self) -> None:
-        """Close nothing."""
 
 
 def answers_lines(answer: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
