@@ -119,13 +119,21 @@ class _Ids:
             replace(view, target_mm=view.target_mm + shift)
             for view, shift in zip(self.views, shifts_mm, strict=True)
         ]
+        before = self.first.at_best.solution.value
         try:
             there = self.again(moved).at_best
-            unmoved = self._adjusted(np.zeros_like(shifts_mm), there, there.eta)
+            if there.marginal.problem.pupils is None:  # the discs no longer fit together
+                return False
+            if _unknowns(there) == _unknowns(self.first):  # what seemed two poses can be one
+                unmoved = self._adjusted(np.zeros_like(shifts_mm), there, there.eta)
+                before = min(before, unmoved.solution.value)
         except CalibrationError:
             return False
-        before = min(self.first.at_best.solution.value, unmoved.solution.value)
         return self._worth_of(before - there.solution.value, shifted.shifts) >= 0.0
+
+
+def _unknowns(optimum: Optimum) -> tuple[str, ...]:
+    return optimum.marginal.problem.bench.layout.names
 
 
 def _worth(shifted: _Shifted) -> float:

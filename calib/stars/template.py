@@ -22,7 +22,8 @@ TEMPLATE_ACROSS = (0.2, 0.5, 0.8)
 OCTANTS = 8
 #: Least share of a star's samples that must lie in the image: a star that the frame cuts is compared with too little.
 MIN_COVERED = 0.8
-#: Stars whose median correlation with the sharp pattern is below this are searched with a learnt pattern too.
+#: Stars whose median correlation with the sharp pattern is below this are searched with a learnt pattern too: at a blur
+#: of 1.5 px, the sharp one finds 4 of 230.
 SHARP_CORRELATION = 0.65
 #: Least correlation of a learnt pattern with the sharp one; below it, the places that it was learnt from are no stars.
 MIN_LIKENESS = 0.2

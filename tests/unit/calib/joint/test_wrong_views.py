@@ -137,6 +137,24 @@ def test_of_two_views_nobody_can_tell_which_is_shifted():
 
 
 @pytest.mark.slow
+def test_one_of_two_recordings_of_a_pose_by_hand_is_shifted():
+    """With wrong ids, two recordings of one pose look like two poses, which have other unknowns."""
+    drawn = WORLDS["S1"](824, 3, 2, 0)
+    views = views_of(drawn)
+    places = np.unique(np.round(views[5].target_mm, 6)[:, 0])
+    views[5] = replace(views[5], target_mm=views[5].target_mm + np.median(np.diff(places)) * np.array([1, 0]))
+    (cause,) = doubts(views, options_for(drawn, "c"))
+    assert (cause.kind, cause.axis) == (kinds.IDS, "view pose 3 round 2 by -1 column")
+
+
+@pytest.mark.slow
+def test_a_shift_after_which_the_discs_no_longer_fit_together_is_not_named():
+    """Ids are right; a shift would explain errors of this glass better."""
+    drawn = WORLDS["S1"](820, 25, 1, 0)
+    assert doubts(views_of(drawn), options_for(drawn, "0")) == []
+
+
+@pytest.mark.slow
 def test_stars_on_no_lattice_have_no_columns():
     rng, views = np.random.default_rng(5), bench(4, count=5)
     views[1] = misnamed(views[1], 1, 0)
