@@ -23,6 +23,24 @@ EventArrays = tuple[Ints, NDArray[np.uint16], NDArray[np.uint16], Bytes]
 RAYLEIGH_MEDIAN = 1.1774100225154747
 
 
+class ReadOnlyArrays:
+    """A base of dataclasses: their arrays, also those in lists, are views that cannot be written to."""
+
+    def __post_init__(self) -> None:
+        for name, given in list(vars(self).items()):
+            kept = [_read_only(part) for part in given] if isinstance(given, list) else _read_only(given)
+            object.__setattr__(self, name, kept)
+
+
+def _read_only(given: Any) -> Any:
+    """Return a view of an array that cannot be written to; anything else as it is."""
+    if not isinstance(given, np.ndarray):
+        return given
+    view = given.view()
+    view.setflags(write=False)
+    return view
+
+
 Parts = TypeVar("Parts", bound=NamedTuple)
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from calib.adjustment.loss import LossName
-from calib.arrays import Array
+from calib.arrays import Array, ReadOnlyArrays
 from calib.errors import InputMismatch, require_known
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.cause import Cause
@@ -150,7 +150,7 @@ class ViewSummary:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration:
+class Calibration(ReadOnlyArrays):
     """A calibrated camera and everything that was estimated with it.
 
     Attributes

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 
 class CalibrationError(Exception):
@@ -55,6 +56,12 @@ def require_known(what: str, given: object, known: Sequence[str], where: str = "
     """Refuse (`InputMismatch`) a name that is none of the known ones, which are told."""
     if given not in known:
         raise InputMismatch(f"Unknown {what} {given!r}.", where=where, remedy=f"Known: {', '.join(known)}.")
+
+
+def require_unmasked(given: Any, what: str, *, where: str = "", remedy: str) -> None:
+    """Refuse (`InputMismatch`) an array of which a part is masked: NumPy would drop the mask and use all of it."""
+    if hasattr(given, "filled") and given.mask.any():
+        raise InputMismatch(f"{what} masked values, which would be used.", where=where, remedy=remedy)
 
 
 class TargetNotFound(CalibrationError):

@@ -8,8 +8,8 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Bools, Ints
-from calib.errors import InputMismatch
+from calib.arrays import AnyArray, Array, Bools, Ints, ReadOnlyArrays
+from calib.errors import InputMismatch, require_unmasked
 
 T = TypeVar("T")
 #: Share of the variances by which the two halves of a covariance may differ, as rounding makes them.
@@ -29,7 +29,7 @@ _SHAPES: dict[str, tuple[tuple[int, ...], str]] = {
 
 
 @dataclass(frozen=True)
-class RimPoints:
+class RimPoints(ReadOnlyArrays):
     """The rim of the beam as the image of a pose shows it: finite points on the target's plane."""
 
     # (K, 2) float64, mm, points at which the light ends; K is 0 if the rim is out of the frame.
@@ -41,6 +41,7 @@ class RimPoints:
     level_sigma_mm: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         k, shapes = len(self.points_mm), (self.points_mm.shape, self.sigmas_mm.shape, self.lit_mm.shape)
         if shapes != ((k, 2), (k,), (len(self.lit_mm), 2)):
             raise InputMismatch(f"The arrays of the rim have shapes {shapes}.", where="rim points")
@@ -50,7 +51,7 @@ class RimPoints:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class View:
+class View(ReadOnlyArrays):
     """Stars of one pose. Two views are equal only if they are the same object; the arrays are its own, and read-only.
 
     Attributes
@@ -95,8 +96,8 @@ class View:
             own = self._numbers(name).astype(kind)  # a copy
             if name == "covariances_px2" and not own.ndim:
                 own = np.tile(own * abs(own) * np.eye(2), (self.ids.size, 1, 1))  # none of a negative one
-            own.setflags(write=False)
             object.__setattr__(self, name, own)
+        super().__post_init__()
         object.__setattr__(self, "image_size", self._sides())
         n = self.ids.size
         self._require_shapes(n)
@@ -108,15 +109,17 @@ class View:
 
     def _numbers(self, name: str) -> AnyArray:
         """Return what was given as an array of numbers; ids are whole."""
-        given = np.asarray(getattr(self, name))
         where = f"view {self.name}"
+        drop = "Give each array without the rows in which something is masked."
+        require_unmasked(getattr(self, name), f"Its {name} hold", where=where, remedy=drop)
+        given = np.asarray(getattr(self, name))
         if given.dtype.kind not in "iuf" and given.size:
             raise InputMismatch(f"Its {name} are not numbers.", where=where, remedy="Give numbers.")
-        if name == "ids" and given.dtype.kind == "f":
-            wrong = given[~(given == np.rint(given))]  # nan is not whole either
+        if name == "ids" and given.dtype.kind in "uf":
+            wrong = given[~((given == np.rint(given)) & (abs(given) < 2.0**63))]  # nan is not whole either
             if wrong.size:
                 raise InputMismatch(
-                    f"The id {wrong.flat[0]:g} is not a whole number.",
+                    f"The id {wrong.flat[0]:g} is not a whole number of 64 bits.",
                     where=where,
                     remedy="Give each point the whole number that names it on the target.",
                 )
@@ -138,10 +141,11 @@ class View:
         for name, (shape, remedy) in _SHAPES.items():
             given, needed = getattr(self, name).shape, (n, *shape)
             if given != needed:
+                advice = f"Each point is a column: give {name}.T." if given[:-1] == shape else remedy
                 raise InputMismatch(
                     f"Its {name} have the shape {given}, and {n} ids need {needed}.",
                     where=f"view {self.name}",
-                    remedy=remedy if given[1:] != shape else "Give one row for each id.",
+                    remedy="Give one row for each id." if given[1:] == shape else advice,
                 )
 
     def _require_covariances(self) -> None:

@@ -22,6 +22,7 @@ from bench.record.results import Results
 from bench.record.run_folder import REPORT, RESULTS
 from bench.record.stored_calibration import stored_calibration
 from bench.record.stored_run import StoredRun, results_of
+from calib.arrays import ReadOnlyArrays
 from calib.calibration import Calibration
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
@@ -39,7 +40,7 @@ ReadPicture = Callable[[], Picture]
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(ReadOnlyArrays):
     """One calibrated pose of a run.
 
     Attributes

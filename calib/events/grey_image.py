@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import AnyArray, Bytes
-from calib.errors import InputMismatch
+from calib.errors import InputMismatch, require_unmasked
 
 #: Share of the pixels that may be clipped at each end of the grey scale, so that hot pixels do not take the range of
 #: grey.
@@ -39,6 +39,7 @@ def to_uint8(image: AnyArray) -> Bytes:
 
 
 def require_grey_plane(image: AnyArray) -> None:
-    """Raise InputMismatch if an image has other than two axes, or is empty."""
+    """Raise InputMismatch if an image has other than two axes, is empty, or has masked pixels."""
     if image.ndim != 2 or image.size == 0:
         raise InputMismatch(f"The image has shape {image.shape}.", remedy="Give one grey plane (H, W).")
+    require_unmasked(image, "The image holds", remedy="Fill them first: image.filled(0).")

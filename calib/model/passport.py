@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, ReadOnlyArrays
 from calib.errors import InputMismatch
 from calib.model.collimator import CENTRE, Collimator
 from calib.model.target_focus import CertifiedLength
@@ -23,7 +23,7 @@ SCHEMA = "starbench/collimator-passport/1"
 
 
 @dataclass(frozen=True)
-class Passport:
+class Passport(ReadOnlyArrays):
     """Calibrated parameters of a collimator.
 
     Parameters
@@ -61,6 +61,7 @@ class Passport:
     length: CertifiedLength = CertifiedLength.UNSAID
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         fault = self._fault()
         if fault:
             raise InputMismatch(fault, where="passport")

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, ReadOnlyArrays
 from calib.model.rotation import log_map, skew
 
 #: Share of its distribution that an expanded uncertainty covers (JCGM 100:2008, 6.2.1, for k = 2).
@@ -118,7 +118,7 @@ class GimbalEstimate:
 
 
 @dataclass(frozen=True)
-class Boresight:
+class Boresight(ReadOnlyArrays):
     """The rotation from the stage's flange to the camera, by the gimbal's readings.
 
     The flange's frame is that of the stage at the zero of its readings: x along the tilt axis, y along the pan axis, as
@@ -179,7 +179,7 @@ class Boresight:
 
 
 @dataclass(frozen=True)
-class RotationErrors:
+class RotationErrors(ReadOnlyArrays):
     """A linear form at the posterior's mean: the error of each rotation vector, on the camera's side."""
 
     names: tuple[str, ...]  # The S shared unknowns

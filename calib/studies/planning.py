@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.adjustment.parameters import SAME_POSE_DEG, views_of_poses
-from calib.arrays import Array
+from calib.arrays import Array, ReadOnlyArrays
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import MIN_VIEWS, MOVED_DEG, angles_of
@@ -40,7 +40,7 @@ _AT_ONCE = 12
 
 
 @dataclass(frozen=True)
-class Forecast:
+class Forecast(ReadOnlyArrays):
     """Expected uncertainty of a calibration from a set of poses."""
 
     sigma: Mapping[str, float]  # Expected 1-sigma of each parameter, without those of the gimbal

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array, Bools
+from calib.arrays import Array, Bools, ReadOnlyArrays
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.rotation import ARCSEC, exp_map, skew
@@ -22,7 +22,7 @@ _TURNS = 10  # Steps at most: they end when nothing changes
 
 
 @dataclass(frozen=True)
-class ProjectionMap:
+class ProjectionMap(ReadOnlyArrays):
     """Projection uncertainty over the sensor."""
 
     grid_px: Array  # (h, w, 2) float64 image points, px
@@ -44,7 +44,7 @@ class ProjectionMap:
 
 
 @dataclass(frozen=True)
-class CameraDifference:
+class CameraDifference(ReadOnlyArrays):
     """Difference between the projections of two cameras at infinity, after the best rotation between them."""
 
     grid_px: Array  # (h, w, 2) float64 image points of the first camera, px

@@ -7,7 +7,15 @@ from operator import methodcaller
 import numpy as np
 import pytest
 
-from calib import CalibrationOptions, Passport, View, calibrate, projection_uncertainty
+from calib import (
+    CalibrationOptions,
+    Passport,
+    StarTarget,
+    View,
+    calibrate,
+    detect_view,
+    projection_uncertainty,
+)
 from calib.errors import CalibrationError, InputMismatch
 from tests.support.exported_camera import calibration
 
@@ -37,9 +45,38 @@ def test_a_view_without_covariances_says_how_to_give_them():
         View("left", whole.image_size, whole.ids, whole.points_px, whole.target_mm)
 
 
+@pytest.mark.parametrize("name", ["ids", "points_px", "target_mm", "covariances_px2"])
+def test_masked_stars_are_refused_instead_of_used(name):
+    masked = np.ma.array(getattr(view(), name))
+    view(**{name: masked})  # none of it is masked
+    masked[1] = np.ma.masked
+    with pytest.raises(InputMismatch, match=f"view left: Its {name} hold masked values.*without the rows"):
+        view(**{name: masked})
+
+
+def test_masked_pixels_are_refused_instead_of_used():
+    with pytest.raises(InputMismatch, match=r"image holds masked values.*filled"):
+        detect_view(np.ma.masked_less(np.ones((9, 9)), 2), StarTarget())
+
+
+def np_arrays(value):
+    return [part for part in (value if isinstance(value, list) else [value]) if isinstance(part, np.ndarray)]
+
+
 @pytest.fixture
 def result():
     return replace(calibration("k1k2"), coverage_factors={"fx": 2.1, "k1": 2.6}, notes=("a < b " * 60,) * 9)
+
+
+def test_no_array_of_a_result_can_be_changed(result):
+    whole = replace(result, residuals_px=[np.zeros((2, 2))], weights=[np.ones(2)])
+    uncertainty = projection_uncertainty(whole.camera, whole.camera_covariance, 5)
+    parts = (whole, whole.passport(), Passport.of_radius(255.0, 0.1), uncertainty)
+    given = [
+        (name, array) for part in parts for name, arrays in vars(part).items() for array in np_arrays(arrays)
+    ]
+    assert {"covariance", "residuals_px", "weights", "values", "sigma_px"} < {name for name, _ in given}
+    assert not [name for name, array in given if array.flags.writeable]
 
 
 def test_each_expanded_uncertainty_has_its_own_k(result):
@@ -90,9 +127,12 @@ def test_views_are_compared_by_identity_and_own_their_arrays():
     [
         ({"ids": np.arange(N) + 0.7}, "The id 0.7 is not a whole number"),
         ({"ids": np.full(N, np.nan)}, "The id nan is not a whole number"),
+        ({"ids": np.full(N, 1e300)}, r"The id 1e\+300 is not a whole number of 64 bits"),
+        ({"ids": np.full(N, 2**63, np.uint64)}, r"is not a whole number of 64 bits"),
         ({"ids": [str(i) for i in range(N)]}, "ids are not numbers"),
         ({"ids": np.arange(N).reshape(N, 1)}, r"ids have the shape \(6, 1\), and 6 ids need \(6,\)"),
         ({"points_px": np.zeros((N, 1, 2))}, r"points_px have the shape \(6, 1, 2\).*reshape\(-1, 2\)"),
+        ({"points_px": np.zeros((2, N))}, r"points_px have the shape \(2, 6\).*column: give points_px\.T"),
         ({"points_px": np.zeros((N + 1, 2))}, r"points_px have the shape \(7, 2\), and 6 ids"),
         ({"target_mm": np.zeros((N, 3))}, r"target_mm have the shape \(6, 3\).*leave out Z"),
         ({"covariances_px2": 0.04 * np.eye(2)}, r"covariances_px2 .*\(2, 2\).*one number for all"),

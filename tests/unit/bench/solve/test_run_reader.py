@@ -76,6 +76,14 @@ def test_poses_have_names_angles_and_pictures(folder):
         assert pose.picture[v, u] == pose.picture.max() > np.median(pose.picture)
 
 
+def test_no_array_of_a_run_can_be_changed(folder):
+    run = load(folder)
+    own = [(p.rotation, p.centre_mm, p.residuals_px, p.view.points_px) for p in run.poses]
+    for array in (run.covariance, run.calibration.estimates, *(each for arrays in own for each in arrays)):
+        with pytest.raises(ValueError, match="read-only"):
+            np.divide(array, 100, out=array)
+
+
 def test_a_collimator_keeps_its_aberrations(copied):
     edit(copied, lambda results: results["calibration"]["collimator"].update(defocus=0.01))
     run = load(copied)
