@@ -24,7 +24,7 @@ from bench.again.compare import (
     limits_of_values,
 )
 from bench.base.bounded_json import canonical_json
-from bench.base.errors import BenchError, RunFolderError
+from bench.base.errors import BenchError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.measure.views_file import VIEWS, StoredView, read_views, views_file
 from bench.record.recovery import EXPORTS
@@ -110,8 +110,8 @@ def _compare_views(
     try:
         held = read_views(path)
         rewritten = views_file(held)  # this reads every image
-    except (RunFolderError, MemoryError, RuntimeError) as error:
-        what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
+    except (BenchError, MemoryError, RuntimeError) as error:
+        what = error.what if isinstance(error, BenchError) else f"the file cannot be read ({error!r})"
         findings.fault("views", VIEWS, what)
         return None
     names = [stored.view.name for stored in held], [stored.view.name for stored in again]

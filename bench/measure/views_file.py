@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import RunFolderError
 from bench.measure.view_picture import ViewPicture
+from bench.record.storage import storage_errors
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
 from drivers.camera.formats.hdf5_reading import dataset, member, whole
@@ -86,9 +87,11 @@ def read_picture(path: Path, number: int) -> NDArray[np.uint8]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
-    """Open a `views.h5` for reading; every fault inside the block becomes a RunFolderError."""
+    """Open a `views.h5`: RunFolderError for every fault inside the block, StorageError if it is not there or denied."""
     try:
-        require_regular(path)
+        with storage_errors(path):
+            require_regular(path)
+            path.open("rb").close()
         with h5py.File(path, "r") as file:
             if file.attrs.get("format") != FORMAT:
                 raise RunFolderError(

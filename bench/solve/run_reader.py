@@ -20,6 +20,7 @@ from bench.base.bounded_json import canonical_json
 from bench.base.errors import RunFolderError
 from bench.record.results import Results
 from bench.record.run_folder import REPORT, RESULTS
+from bench.record.storage import storage_errors
 from bench.record.stored_calibration import stored_calibration
 from bench.record.stored_run import StoredRun, results_of
 from calib.arrays import ReadOnlyArrays
@@ -193,6 +194,8 @@ def load(run_folder: str | Path) -> Run:
     ------
     RunFolderError
         If the folder is not a run, the run was only rehearsed, or its files cannot be read or contradict each other.
+    StorageError
+        If a file that is needed is not there, or may not be read.
     BenchError
         If results are missing and no recording was accepted.
     ScriptError
@@ -211,10 +214,11 @@ def load(run_folder: str | Path) -> Run:
     """
     from bench.measure.views_file import VIEWS, read_views
 
-    run = StoredRun.open(Path(run_folder))
+    run = StoredRun.open(Path(run_folder).absolute())
     if run.has_results and (run.folder / VIEWS).is_file():
         return _run(run.folder, run.results, read_views(run.folder / VIEWS))
-    results, views = _solve_again(run)
+    with storage_errors(run.folder):
+        results, views = _solve_again(run)
     return _run(run.folder, run.results if run.has_results else results, views)
 
 
@@ -294,7 +298,8 @@ def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
     """Make the image of an accepted recording again; raise RunFolderError if this is not possible."""
     from bench.solve.measured_again import measure_again
 
-    measurement = measure_again(job, folder, attempt)
+    with storage_errors(folder):
+        measurement = measure_again(job, folder, attempt)
     if measurement.image is None:
         where = str(folder / str(attempt.stored["capture"]))
         raise RunFolderError(f"No image can be made of it: {measurement.fault}", where=where)

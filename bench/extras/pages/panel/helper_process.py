@@ -200,7 +200,7 @@ class ForecastRequest:
 
 def _solved_picture(path: Path, name: str) -> tuple[PictureAnswer, bytes] | None:
     """Return the picture of a calibrated pose; None if the file does not hold it, or cannot be read."""
-    from bench.base.errors import RunFolderError
+    from bench.base.errors import BenchError
     from bench.measure.measure import StoredImage
     from bench.measure.views_file import read_picture, read_views
 
@@ -210,7 +210,7 @@ def _solved_picture(path: Path, name: str) -> tuple[PictureAnswer, bytes] | None
         if number is None:
             return None
         picture = read_picture(path, number)
-    except RunFolderError:
+    except BenchError:
         return None
     stored = views[number - 1]
     answer = picture_answer(

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_views import made_rim, made_view
 
-from bench.base.errors import RunFolderError
+from bench.base.errors import RunFolderError, StorageError
 from bench.measure.views_file import StoredView, read_picture, read_views, views_file
 
 DOCUMENT = Path(__file__).parents[4] / "docs" / "run-folder.md"
@@ -124,13 +124,19 @@ def test_a_changed_file_is_refused_with_its_path_and_a_remedy(path, damage):
     assert refused.value.remedy
 
 
-@pytest.mark.parametrize("content", [b"", b"no HDF5", None])
+@pytest.mark.parametrize("content", [b"", b"no HDF5"])
 def test_a_file_that_is_not_hdf5_is_refused(tmp_path, content):
     path = tmp_path / "views.h5"
-    if content is not None:
-        path.write_bytes(content)
+    path.write_bytes(content)
     with pytest.raises(RunFolderError, match="cannot be read"):
         read_views(path)
+
+
+def test_a_file_that_is_not_there_is_not_to_be_deleted(tmp_path):
+    with pytest.raises(StorageError, match="No such file") as refused:
+        read_views(tmp_path / "views.h5")
+    assert str(tmp_path / "views.h5") in str(refused.value)
+    assert "elete" not in str(refused.value)
 
 
 def test_a_pose_that_the_file_does_not_have_is_refused(path):

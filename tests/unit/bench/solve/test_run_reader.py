@@ -9,7 +9,8 @@ from rehearsed import Scene
 from solved_run import image_of, write_solved_run
 
 from bench.base.bounded_json import canonical_json
-from bench.base.errors import RunFolderError
+from bench.base.errors import RunFolderError, StorageError
+from bench.record.stored_run import StoredRun
 from bench.solve.run_reader import load
 from calib import CalibrationOptions, calibrate
 
@@ -82,6 +83,23 @@ def test_no_array_of_a_run_can_be_changed(folder):
     for array in (run.covariance, run.calibration.estimates, *(each for arrays in own for each in arrays)):
         with pytest.raises(ValueError, match="read-only"):
             np.divide(array, 100, out=array)
+
+
+def test_pictures_are_read_after_a_change_of_the_working_folder(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(folder.parent)
+    run = load(folder.name)
+    monkeypatch.chdir(tmp_path)
+    assert run.poses[0].picture.any()
+
+
+def test_a_recording_that_is_not_there_is_told_as_an_error_of_the_program(copied, monkeypatch):
+    monkeypatch.setattr(StoredRun, "is_rehearsal", False)
+    (copied / "views.h5").unlink()
+    capture = min((copied / "captures").iterdir())
+    capture.unlink()
+    with pytest.raises(StorageError, match="No such file") as refused:
+        load(copied)
+    assert str(capture) in str(refused.value)
 
 
 def test_a_collimator_keeps_its_aberrations(copied):
