@@ -24,14 +24,14 @@ from calib.joint.amplitudes import Pupil
 from calib.joint.doubts import Innovation
 from calib.joint.effects.by_turn import ASIDE
 from calib.joint.effects.collimator import CENTRE
-from calib.joint.evidence import log_evidence
-from calib.joint.hypotheses import NO_BOUND, OTHER_LENS, OTHER_OPTIMUM, OTHER_WAY, Hypothesis
-from calib.joint.knowledge import ASPECT, Statement
+from calib.joint.evidence import log_evidence, odds_of
+from calib.joint.hypotheses import NO_BOUND, OTHER_LENGTH, OTHER_LENS, OTHER_OPTIMUM, OTHER_WAY, Hypothesis
+from calib.joint.knowledge import ASPECT, CERTIFICATE, FOCAL, Statement
 from calib.joint.modes import Modes, modes_of
 from calib.joint.posed import lens_names
 from calib.joint.posterior import Posterior, mixed, posterior
 from calib.joint.prior import block_diagonal
-from calib.joint.solve import Optimum
+from calib.joint.solve import Optimum, optimum_with_faults
 from calib.joint.wrong_views import find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE
 from calib.model.cause import PARALLAX, Cause
@@ -83,7 +83,7 @@ def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterio
     better = [other for other in lenses if not options.compares_lenses and other.log_odds > best.log_odds]
     explanations += lenses if options.compares_lenses else []
     explanations += _moved_otherwise(max(explanations, key=_rank), views, options)
-    mixture = _mixture(explanations)
+    mixture = _mixture(_with_other_length(explanations))
     return replace(mixture, better_lens=_family(better[0].optimum)) if better else mixture
 
 
@@ -169,6 +169,27 @@ def _moved_otherwise(
         log_odds = 0.5 * (by_discs + by_stars) + math.log(OTHER_WAY.odds)
         return [_Explanation(there, first.log_odds + log_odds, OTHER_WAY)]
     return []
+
+
+def _with_other_length(explanations: Sequence[_Explanation]) -> list[_Explanation]:
+    """Return explanations, the most probable one by each length that a certificate may state.
+
+    A hand's pupils are found with the one length, and hide how far off it is. So the other one has pupils of its own.
+    """
+    first = max(explanations, key=_rank)
+    problem, focal = first.optimum.marginal.problem, (CERTIFICATE, FOCAL)
+    certificate = problem.knowledge.witnesses.get(CERTIFICATE)
+    if problem.pupils is None or certificate is None or FOCAL not in certificate.doubts:
+        return list(explanations)
+    try:
+        there = optimum_with_faults(first.optimum, (focal,))
+        log_odds = first.log_odds + math.log(odds_of(there, (focal,), first.optimum))
+        other = _Explanation(modes_of(there), log_odds, OTHER_LENGTH)
+    except (CalibrationError, np.linalg.LinAlgError):  # without the length nothing determines the camera
+        return list(explanations)
+    nodes = [node for node in first.modes.nodes if focal not in node.faults]
+    seen = first._replace(modes=replace(first.modes, nodes=nodes))
+    return [seen, other, *(each for each in explanations if each is not first)]
 
 
 def with_doubted_bound(

@@ -14,6 +14,8 @@ from calib.joint.modes import modes_of
 from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.target_focus import TargetFocus
+from tests.benchmarks.worlds.catalogue import WORLDS
+from tests.benchmarks.worlds.knowledge import views_of
 from tests.support.drawn_benches import THREE, draw_bench
 from tests.unit.calib.conftest import Bench
 
@@ -55,6 +57,15 @@ def test_if_views_cannot_tell_the_uncertainty_covers_both_lengths_and_a_note_say
     assert result.U["fx"] > 20.0
     assert abs(result.camera.fx - BENCH.fx) < result.U["fx"]
     assert [note for note in result.notes if "which length it states" in note]
+
+
+@pytest.mark.parametrize(("poses", "times"), first_quick([(3, 0.9669), (9, 0.9148)]))
+def test_the_focal_length_is_weighed_with_pupils_of_its_own_if_a_hand_moves_the_camera(poses, times):
+    """Before, the pupils that belong to the seen length hid the other one: fx was 2.6 and 7.8 U wrong."""
+    drawn = WORLDS["product-S1" if poses == 3 else "S1"](840, poses, 1, 0)
+    certified = Passport.of_radius(times * drawn.stated.r_mm, 0.05)
+    result = calibrate(views_of(drawn), CalibrationOptions(passport=certified))
+    assert abs(result.camera.fx - drawn.camera.values["fx"]) < result.U["fx"]
 
 
 @pytest.mark.slow
