@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -103,6 +103,7 @@ class History:
     attempts: list[Attempt] = field(default_factory=list, init=False)
     lost: dict[int, int] = field(default_factory=dict)
     """Number of recordings that the camera could not complete, by pose index."""
+    gone: frozenset[int] = frozenset()  # Poses whose accepted recording was lost or changed later
     states: list[StateEntered] = field(default_factory=list)
     deviations: list[str] = field(default_factory=list)
     holds: list[str] = field(default_factory=list)  # Pauses that a person asked for and ended
@@ -187,18 +188,30 @@ class History:
         """Add a stored recording."""
         self._places_of_pose.setdefault(attempt.pose_index, []).append(len(self.attempts))
         self.attempts.append(attempt)
-        if attempt.accepted:
-            self._accepted[attempt.pose_index] = attempt
+        self._accept(attempt)
 
     def check(self, pose_index: int, number: int, checked: AttemptChecked) -> None:
         """Add the result of measuring a stored recording; ``pose_index`` and ``number`` count from 1."""
         for place in self._places_of_pose.get(pose_index, ()):
             if self.attempts[place].attempt == number:
-                attempt = self.attempts[place] = replace(self.attempts[place], checked=checked)
-                if attempt.accepted:
-                    self._accepted[pose_index] = attempt
+                self.attempts[place] = replace(self.attempts[place], checked=checked)
+                self._accept(self.attempts[place])
                 return
         raise ValueError(f"a stored recording for pose {pose_index}, attempt {number}")
+
+    def _accept(self, attempt: Attempt) -> None:
+        """Count a recording if it passed its gates."""
+        if attempt.accepted:
+            self._accepted[attempt.pose_index] = attempt
+            self.gone -= {attempt.pose_index}
+
+    def lose(self, captures: Collection[str]) -> None:
+        """Count recordings no more: their poses are to be recorded again."""
+        left = {
+            pose: own for pose, own in self._accepted.items() if own.stored.get("capture") not in captures
+        }
+        self.gone |= self._accepted.keys() - left.keys()
+        self._accepted = left
 
     def accepted(self) -> Mapping[int, Attempt]:
         """Return the accepted recording of each pose that has one, in the order of their acceptance."""
@@ -308,6 +321,8 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
             history.verdict = data.get("verdict")
         case Event.UNTIL_DECIDED:
             history.decisions.append(entry.of(UntilDecided))
+        case Event.RECOVERED:
+            history.lose([*data["missing"], *data["changed"]])
         case Event.ATTEMPT_LOST:
             history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
         case Event.ATTEMPT_CHECKED:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,6 +12,7 @@ from bench.record.storage import is_plain_file, is_temporary, make_folder, sha25
 
 if TYPE_CHECKING:
     from bench.record.events import Recovered
+    from bench.record.journal_line import Entry
 
 EXPORTS = "exports"
 VIEWS = "views.h5"
@@ -40,14 +42,23 @@ def recover(folder: RunFolder, journal: Journal) -> Recovered:
     return found
 
 
+def gone_captures(folder: Path, entries: Iterable[Entry]) -> list[str]:
+    """Return the recordings that a run has no more, or that are of another size; nothing is read or moved."""
+    stored = stored_captures(entries)
+    return [name for name, capture in stored.items() if not _is_as_large(folder / name, capture)]
+
+
+def _is_as_large(path: Path, capture: Capture) -> bool:
+    return is_plain_file(path) and path.stat().st_size == capture.size
+
+
 def _state_of(path: Path, capture: Capture | None) -> _State:
     """Return the state of a recording after a crash."""
     if path.name.endswith(PART):
         return "interrupted"
     if capture is None:
         return "unnamed"
-    whole = is_plain_file(path) and path.stat().st_size == capture.size
-    return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
+    return "intact" if _is_as_large(path, capture) and sha256_of(path) == capture.sha256 else "changed"
 
 
 def written_files(folder: Path) -> dict[str, str]:

@@ -30,7 +30,7 @@ from bench.record.history import History, replay
 from bench.record.journal import Journal
 from bench.record.journal_line import Entry
 from bench.record.pace import pace_on
-from bench.record.recovery import WIRE_LOG
+from bench.record.recovery import WIRE_LOG, gone_captures
 from bench.record.run_folder import (
     REPORT,
     RunFolder,
@@ -199,7 +199,10 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             remove_ended_page(folder)
             # After the journal: a process that dies in between neither loses the crash nor counts it twice.
             archive_crash(folder)
-            lines = [*ledger_lines(place), *intentions(job, history, crash)]
+            lines = [
+                *ledger_lines(place),
+                *intentions(job, history, crash, gone_captures(folder.path, journal.entries)),
+            ]
             return ending(run_and_seal(job, folder, journal, launch, key, lines))
 
 
@@ -211,8 +214,9 @@ def _compile_loops_for(job: Job) -> None:
 def read_intentions(folder_path: Path) -> list[str]:
     """Return what resuming a run would do. Nothing is changed."""
     require_resumable(folder_path)
-    job, history = job_of(folder_path, StoredRun(folder_path).entries)
-    return intentions(job, history, read_crash(folder_path))
+    entries = StoredRun(folder_path).entries
+    job, history = job_of(folder_path, entries)
+    return intentions(job, history, read_crash(folder_path), gone_captures(folder_path, entries))
 
 
 def job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:

@@ -6,7 +6,7 @@ to be done, the other is repeated.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 
 from bench.plan.job import Job, ScriptStep
@@ -32,9 +32,9 @@ def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[Sc
     done = set(done)
     undone = [i for i, step in enumerate(steps) if step.number not in done]
     unrecorded = next((i for i in undone if isinstance(steps[i], RecordStep)), len(steps))
-    # The stage turned on while that recording was checked, and turns again after it is repeated.
-    turned = [i for i, s in enumerate(steps) if i > unrecorded and isinstance(s, MoveStep | SettleStep)]
-    undone = sorted({*undone, *turned})
+    # The stage turned on while that recording was checked, and turns again after it is repeated. All is solved again.
+    follow = MoveStep | SettleStep | SolveStep | ReportStep
+    undone = sorted({*undone, *(i for i, s in enumerate(steps) if i > unrecorded and isinstance(s, follow))})
     again: set[int] = set()
     for wanted in ((MoveStep, SettleStep, RecordStep), (SolveStep, ReportStep)):
         first = next((i for i in undone if isinstance(steps[i], wanted)), None)
@@ -46,7 +46,8 @@ def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[Sc
 def steps_to_do(job: Job, history: History) -> list[ScriptStep]:
     """Return the steps that a run still has to do, in order, without those left out by an ``until`` that ended."""
     left_out = {step.number for step in job.steps if history.is_left_out(step.number)}
-    return remaining_steps(job.steps, history.done_steps | left_out)
+    gone = {s.number for s in job.steps if isinstance(s, RecordStep) and s.pose.index in history.gone}
+    return remaining_steps(job.steps, (history.done_steps | left_out) - gone)
 
 
 def pose_names(job: Job, history: History) -> dict[int, str]:
@@ -89,12 +90,16 @@ def poses_crashed_too_often(history: History) -> dict[int, str]:
     }
 
 
-def intentions(job: Job, history: History, crash: str | None) -> list[str]:
-    """Return what resuming a run will do, before it is done; ``crash`` tells how its process crashed."""
+def intentions(job: Job, history: History, crash: str | None, gone: Collection[str] = ()) -> list[str]:
+    """Return what resuming a run will do, before it is done.
+
+    ``crash`` tells how its process crashed; recordings that are ``gone`` are made again.
+    """
     if history.ended == "finished":
         return ["The run is finished; only its seal is missing. It will be sealed; no device is opened."]
     history = copy(history)
     history.crashes = dict(history.crashes)
+    history.lose(gone)
     count_crash(history, crash)
     names = pose_names(job, history)
     how = f"{history.ended}: {history.why.rstrip('.')}" if history.ended else crash or NO_END

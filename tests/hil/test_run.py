@@ -5,12 +5,14 @@ import math
 import re
 import shutil
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 from quick_runs import THREE, quick_words
 from running import called, end_when, entering, journal, numbers, results, start
 from shared_folder import shared_folder
+from slow_cases import first_quick
 
 from bench.solve.run_reader import load
 
@@ -114,6 +116,23 @@ def test_a_killed_run_resumes_to_the_same_numbers(quick, home, tmp_path, reached
     stored = [line["capture"] for line in journal(folder) if line["event"] == "capture_stored"]
     assert len(stored) == len(set(stored)) == 3
     assert results(folder)["run"]["resumed"] == 1
+
+
+@pytest.mark.parametrize("spoilt", first_quick([Path.unlink, lambda path: path.write_bytes(bytes(100))]))
+def test_a_recording_that_is_gone_when_a_run_is_resumed_is_made_again(quick, home, tmp_path, spoilt):
+    """Before, its pose counted as recorded, and the run failed at its end whenever it was resumed."""
+    words, _ = quick
+    folder = tmp_path / "spoilt"
+    process = start(*words, "-o", folder, home=home)
+    end_when(process, folder, lambda line: line["event"] == "capture_stored" and line["pose"] == 3)
+    capture = folder / "captures" / "pose-002-attempt-1.raw"
+    capture.chmod(0o600)
+    spoilt(capture)
+    assert "Record pose 2" in called("resume", folder, "--dry-run", home=home).stdout
+    called("resume", folder, home=home)
+    poses = [pose["attempts"][-1]["capture"] for pose in results(folder)["poses"]]
+    assert poses[1] == "captures/pose-002-attempt-2.raw"
+    assert called("verify", folder, home=home).stdout.startswith("SEALED")
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,8 @@ def table(lines: Sequence[Line]) -> str:
     ]
     for key in sorted({(line["world"], line["known"]) for line in lines}):
         solved = [line for line in lines if (line["world"], line["known"]) == key and "refused" not in line]
+        if not solved:
+            continue
         over = [ratios(solved, what) for what in WHAT]
         covered = " ".join(f"{100 * np.mean(ratios <= 1):.0f}" for ratios in over)
         rms = " ".join(f"{2 * np.sqrt(np.mean(ratios**2)):.2f}" for ratios in over)

@@ -122,5 +122,15 @@ def test_resuming_names_each_pose_to_record_and_the_repeated_move(job):
     assert any("pose right again" in sentence for sentence in sentences)
 
 
+def test_a_recording_that_is_gone_is_made_again_and_all_is_solved_again(job):
+    history = History(done_steps=set(range(1, 14)))
+    for index, name in enumerate(("left", "right", "below"), start=1):
+        history.add(Attempt(index, name, 1, {"capture": name}, {"accepted": True}, "", ""))
+    sentences = intentions(job, history, None, ["right"])
+    assert [sentence for sentence in sentences if "Record" in sentence] == ["Record pose 2 (right)."]
+    assert sentences[-1] == "Then: solve, report, seal."
+    assert list(history.accepted()) == [1, 2, 3]
+
+
 def test_a_finished_run_is_only_sealed(job):
     assert "seal is missing" in intentions(job, History(ended="finished"), None)[0].lower()
