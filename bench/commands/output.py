@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from bench.base.bounded_json import canonical_json
-from bench.base.encoding import counted
+from bench.base.encoding import counted, printable_line
 from bench.base.errors import EvidenceError, ScriptError, StorageError, UsageError
 from bench.base.failure import FORESEEN, INVALID_FILES, Failure
 from bench.base.home import home_folder
@@ -76,7 +76,7 @@ def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:
     """Print notes and faults on standard error, of very many the first ones; return the exit status, 1 with a fault."""
     for word, sentences in () if wants_json() else (("Note", notes), ("FAULT", faults)):
         for sentence in sentences[:_MOST_SHOWN]:
-            click.echo(f"{word}: {sentence}", err=True)
+            click.echo(f"{word}: {printable_line(sentence)}", err=True)
         if len(sentences) > _MOST_SHOWN:
             click.echo(f"{word}: and {len(sentences) - _MOST_SHOWN} more; --json lists all.", err=True)
     return 1 if faults else 0

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.encoding import printable_line
 from bench.base.pasteable import pasteable
 from bench.commands.calibrations import calibration_text
 from bench.commands.options import (
@@ -165,7 +166,7 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield from map(_distance_text, results["comparison"])
     for what in results["deviations"]:
         yield f"Deviation: {what}"
-    yield f"\nReport: {end.outcome.report}"
+    yield f"\nReport: {printable_line(str(end.outcome.report))}"
 
 
 def _distance_text(row: ComparisonRow) -> str:
@@ -182,7 +183,7 @@ def _early_end_lines(end: RunEnd) -> list[str]:
         *_device_lines(end),
         end.way_on[0],
         f"  {end.way_on[1]}",
-        *([f"Report: {end.folder / REPORT}"] if (end.folder / REPORT).is_file() else []),
+        *([f"Report: {printable_line(str(end.folder / REPORT))}"] if (end.folder / REPORT).is_file() else []),
     ]
 
 
@@ -211,7 +212,7 @@ def _recorded_lines(end: RunEnd) -> list[str]:
         path.relative_to(end.folder).as_posix() for path in (end.folder / CAPTURES).glob("pose-*")
     )
     lines = ["The run is finished and sealed. Its sequence has no report step, so there is no result."]
-    lines.append(f"Folder: {end.folder}")
+    lines.append(f"Folder: {printable_line(str(end.folder))}")
     if not recordings:
         return [*lines, "It has no recording."]
     shown = recordings[:_MOST_LISTED]

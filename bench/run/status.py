@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.base.encoding import clock_text, counted, times
+from bench.base.encoding import clock_text, counted, printable_line, times
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
 from bench.base.pasteable import pasteable
@@ -437,13 +437,17 @@ def head_lines(status: Status) -> list[str]:
     )
     counts += f", {status.skipped} skipped" if status.skipped else ""
     counts += f", resumed {times(status.resumed)}" if status.resumed else ""
-    lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status), counts]
+    lines = [
+        f"Run {printable_line(status.run_id)}{'  SIMULATED' if status.simulated else ''}",
+        _state(status),
+        counts,
+    ]
     rows = {"Uncertainty after": status.uncertainty, "Result:": status.result, **_busy(status)}
     lines += [status.verdict] if status.verdict else []
     lines += [*status.causes, *(f"{name} {text}" for name, text in rows.items() if text)]
     lines += [*status.goals_missed, *_unasked(status)]
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
-    lines += [f"Report: {status.report}"] if status.report else []
+    lines += [f"Report: {printable_line(str(status.report))}"] if status.report else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 
 

@@ -97,6 +97,13 @@ def test_a_list_shows_the_verdict_of_a_run_that_has_reservations(tmp_path, kind,
     assert ("As calibrated." in called("runs", path, home=tmp_path / "home").stdout) == shown
 
 
+def test_the_name_of_a_run_folder_writes_no_row_of_its_own(tmp_path):
+    run = make(tmp_path / "runs" / "a\n2026-03-01 20:00  00050423   finished")
+    listed = called("runs", run.parent, home=tmp_path / "home").stdout
+    assert r"runs/a\n2026-03-01 20:00  00050423   finished" in listed
+    assert len(listed.splitlines()) == 2
+
+
 def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
     index.runs(three)
     monkeypatch.setattr("bench.record.stored_run.read_journal", lambda _: pytest.fail("it was read again"))

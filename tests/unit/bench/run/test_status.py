@@ -188,6 +188,18 @@ def test_the_reason_of_a_failure_is_told_once_and_its_page_is_named(run):
     assert f"Report: {run.path / 'report.html'}" in text
 
 
+def test_the_name_of_a_run_folder_writes_no_line_of_its_own(tmp_path):
+    run = Run(tmp_path / "run\nSEALED: 20 files")
+    run.tell(Event.RUN_STARTED, id=run.path.name)
+    run.tell(Event.RUN_ENDED, how="finished", why="")
+    (run.path / "report.html").write_text("page")
+    run.die()
+    text = status_text(run.status())
+    assert r"Run run\nSEALED: 20 files" in text
+    assert rf"Report: {tmp_path}/run\nSEALED: 20 files/report.html" in text
+    assert not any(line.startswith("SEALED") for line in text.splitlines())
+
+
 # ---------------------------------------------------------------- the picture of the last recording
 
 
