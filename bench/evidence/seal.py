@@ -15,6 +15,8 @@ from pathlib import Path
 
 from bench.base.errors import EvidenceError
 from bench.base.pasteable import pasteable
+from bench.evidence.content_check import check_content
+from bench.evidence.findings import Verification
 from bench.evidence.folder_kinds import FolderKind, folder_kind
 from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
@@ -89,7 +91,9 @@ RESERVED = (AUTHORISATION, TIMESTAMP, AUTHORISATION_TIMESTAMP)
 NOT_LISTED = frozenset({MANIFEST, SIGNATURE, *RESERVED})
 """Files of a sealed folder that the list does not name."""
 
-_LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
+# A name that is not UTF-8 has surrogates.
+_LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f\ud800-\udfff]+)")
+_MOST_SHOWN = 5
 
 
 def instructions(kind: FolderKind, *, principal: str, fingerprint: str) -> str:
@@ -108,7 +112,7 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
 
 
 def seal_folder(path: Path, key: BenchKey) -> str:
-    """Seal any folder that is complete; refused if sealed, with a reserved file, or with what cannot be listed."""
+    """Seal any folder that is complete; refused if sealed, with a reserved file, or with what `verify` refuses."""
     _refuse_sealed(path)
     with storage_errors(path):
         for name in (INSTRUCTIONS, MANIFEST, SIGNATURE):  # of a process that died while it sealed
@@ -117,6 +121,7 @@ def seal_folder(path: Path, key: BenchKey) -> str:
     write_atomic(path / INSTRUCTIONS, text.encode())
     _sync_files(path)
     manifest = make_manifest(path)
+    _refuse_faults(path, manifest)
     write_atomic(path / MANIFEST, manifest)
     write_atomic(path / SIGNATURE, key.sign(manifest, NAMESPACE))
     make_read_only(path)
@@ -139,6 +144,21 @@ def _refuse_sealed(path: Path) -> None:
         )
 
 
+def _refuse_faults(path: Path, manifest: bytes) -> None:
+    """Refuse what `verify` would refuse for ever, before it is sealed."""
+    found = Verification()
+    check_content(path, read_manifest(manifest), found)
+    if told := [*map(str, found.faults)]:
+        told[_MOST_SHOWN:] = [f"And {len(told) - _MOST_SHOWN} more"] if len(told) > _MOST_SHOWN else []
+        what = f"This folder is not sealed, because its seal would not be verified. {'. '.join(told)}."
+        raise EvidenceError(what, where=str(path), remedy=_mend(path))
+
+
+def _mend(path: Path) -> str:
+    again = pasteable("resume", path) if (path / JOURNAL).is_file() else "repeat the command."
+    return f"Move out what does not belong in this folder, put back what is missing or changed. Then seal it: {again}"
+
+
 def _sync_files(path: Path) -> None:
     """Sync the files that were not synced when they were written, so that none is lost while its seal remains."""
     with storage_errors(path):
@@ -149,15 +169,14 @@ def _sync_files(path: Path) -> None:
 
 
 def make_manifest(path: Path) -> bytes:
-    """List every file's hash, sorted, as ``sha256sum``; a link, device or control character: `EvidenceError`."""
+    """List every file's hash, sorted, as ``sha256sum``; a link, device or unreadable name: `EvidenceError`."""
     lines = []
     with storage_errors(path):
         for name, kind in sorted(list_files(path).items()):
             line = f"{'0' * 64}  {name}"
-            if kind != "file" or not _LINE.fullmatch(line) or name.encode(errors="replace") != name.encode():
-                raise EvidenceError(
-                    f"{name!r} is a {kind} that cannot be sealed.", where=str(path), remedy="Remove it."
-                )
+            if kind != "file" or not _LINE.fullmatch(line):
+                what = f"{name!r} is a {kind} that cannot be sealed."
+                raise EvidenceError(what, where=str(path), remedy=_mend(path))
             if name not in NOT_LISTED:
                 lines.append(f"{sha256_of(path / name)}  {name}\n")
     return "".join(lines).encode()

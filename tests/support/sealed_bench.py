@@ -1,14 +1,16 @@
 """A bench with a key, a ledger and one sealed run, whose numbers are those of a real simulated run."""
 
 import functools
+import json
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 
+from unchecked_seal import seal_unchecked
+
 from bench.base.bounded_json import canonical_json
 from bench.base.clock import VirtualClock
 from bench.evidence.keys import ensure_key
-from bench.evidence.seal import seal_folder
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
 from bench.record.stored_run import results_of
@@ -30,9 +32,9 @@ def write_sealed_run(folder, home, *, how="finished", rehearsal=False, results=N
     with Journal.create(folder / "journal.jsonl", VirtualClock(NOW)) as journal:
         journal.append("run_started", id="run", simulated=True, **({"rehearsal": True} if rehearsal else {}))
         journal.append("run_ended", how=how, why="")
-    stored = RESULTS.read_bytes() if results is None else canonical_json(results)
+    stored = canonical_json(json.loads(RESULTS.read_bytes()) if results is None else results)
     (folder / "results.json").write_bytes(stored)
-    seal_folder(folder, ensure_key(home, principal="bench@lab"))
+    seal_unchecked(folder, ensure_key(home, principal="bench@lab"))
     return folder
 
 

@@ -68,7 +68,7 @@ MUTATIONS = {
     "spaces": ("certificate.json", b'"number":', b'"number" :'),
     "lab.yaml": ("lab.yaml", b"Mill Lane 3", b"Mill Lane 9"),
     "a clause taken out": ("lab.yaml", b"external: [Humidity", b"# external: [Humidity"),
-    "results.json": ("results.json", b'"fx":3345.9', b'"fx":3347.9'),
+    "results.json": ("results.json", b'"fx": 3345.9', b'"fx": 3347.9'),
     "the DCC": ("dcc.xml", b"3346.0", b"3346.5"),
     "the PDF": ("certificate.pdf", b"\n%%EOF", b"\n%%EOG"),
     "a plot": ("plots/uncertainty.svg", b"</svg>", b'<rect width="99" height="99"/></svg>'),

@@ -87,7 +87,23 @@ def signers(home):
     return read_signers(home / "allowed_signers")
 
 
-def make_a_run(path, *, serial="00050423"):
+def write_report(folder, journal, poses, serial):
+    results = {
+        "run": {"id": "run-1", "simulated": True},
+        "devices": {"camera": {"serial": serial}},
+        "poses": poses,
+    }
+    files = {"results.json": canonical_json(results), "exports/opencv.yaml": b"fx: 3345.06\n"}
+    files |= {name: name.encode() for name in ("report.html", "views.h5")}
+    for name, data in files.items():
+        folder.write_atomic(name, data)
+    journal.append("entering", state="reporting")
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+    journal.append("written", head=journal.entries[-1].hash, files=hashes)
+    journal.append("left_off", state="reporting")
+
+
+def make_a_run(path, *, serial="00050423", reported=True):
     """Make a run of two poses, one of them with two attempts; returns the folder, held, its journal closed."""
     folder = RunFolder.create(path)
     poses = []
@@ -108,19 +124,8 @@ def make_a_run(path, *, serial="00050423"):
                 journal.append(CAPTURE_STORED, **which, **capture.as_data())
                 recorded.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})
             poses.append({"index": pose, "attempts": recorded})
-        results = {
-            "run": {"id": "run-1", "simulated": True},
-            "devices": {"camera": {"serial": serial}},
-            "poses": poses,
-        }
-        files = {"results.json": canonical_json(results), "exports/opencv.yaml": b"fx: 3345.06\n"}
-        files |= {name: name.encode() for name in ("report.html", "views.h5")}
-        for name, data in files.items():
-            folder.write_atomic(name, data)
-        journal.append("entering", state="reporting")
-        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
-        journal.append("written", head=journal.entries[-1].hash, files=hashes)
-        journal.append("left_off", state="reporting")
+        if reported:
+            write_report(folder, journal, poses, serial)
         journal.append("run_ended", how="finished", why="")
     return folder
 

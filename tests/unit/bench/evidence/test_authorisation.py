@@ -10,6 +10,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from authorising import make_key, needs_certificates, needs_ssh_keygen, person
 from refusals import full
+from unchecked_seal import seal_unchecked
 
 from bench.base.errors import EvidenceError, StorageError
 from bench.evidence import beside_seal
@@ -17,7 +18,7 @@ from bench.evidence.authorisation import authorise
 from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
 from bench.evidence.keys import create_key
-from bench.evidence.seal import RESERVED, seal_folder
+from bench.evidence.seal import RESERVED, seal
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.states import State, shown_state, standing_of, stated_time
@@ -43,7 +44,7 @@ def certificate(tmp_path, key, ada):
     (folder / "certificate.json").write_text(
         json.dumps({"number": "7", "issued_utc": "2026-03-02T00:00:00Z", "authorised_by": named})
     )
-    seal_folder(folder, key)
+    seal_unchecked(folder, key)
     return folder
 
 
@@ -60,7 +61,7 @@ def test_draft_sealed_authorised(make_run, key, tmp_path, ada, trust):
         run = folder.path
         assert standing_of(run, trust, NOW).state is State.DRAFT
         assert shown_state(run, trust, NOW).text == "DRAFT: not sealed"
-        seal_folder(run, key)
+        seal(folder, key)
     assert standing_of(run, trust, NOW).state is State.SEALED
     assert shown_state(run, trust, NOW).text == "SEALED by bench1@lab.example"
     before = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file()}
@@ -87,7 +88,7 @@ def test_authorised_before_sealed(make_run, tmp_path, ada, trust, key):
         assert ("authorisation", "SHA256SUMS.authorised.sig") in [f[:2] for f in faults(folder.path, trust)]
         assert any("authorised before sealed" in f[2] for f in faults(folder.path, trust))
         with pytest.raises(EvidenceError, match=r"SHA256SUMS\.authorised\.sig .* before"):
-            seal_folder(folder.path, key)
+            seal(folder, key)
 
 
 def test_the_bench_cannot_authorise(sealed, key, home, tmp_path, signers):

@@ -8,12 +8,13 @@ from datetime import UTC, datetime
 
 import pytest
 from authorising import needs_certificates, needs_openssl, needs_ssh_keygen
+from unchecked_seal import seal_unchecked
 
 from bench.evidence.authorisation import authorise
 from bench.evidence.beside_seal import add_beside
 from bench.evidence.folder_kinds import folder_kind
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import make_manifest, seal_folder
+from bench.evidence.seal import make_manifest
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import kinds, reseal, writable
@@ -46,7 +47,7 @@ def make_folder(path, key, kind, ada):
     (path / "exports").mkdir()
     (path / "exports" / "opencv.yaml").write_text("fx: 1\n")
     assert folder_kind(path).name == kind
-    seal_folder(path, key)
+    seal_unchecked(path, key)
     return path
 
 

@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from authorising import needs_ssh_keygen
+from unchecked_seal import seal_unchecked
 
 from bench.base.errors import EvidenceError
 from bench.evidence.key_rotation import rotate
@@ -13,7 +14,6 @@ from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
 from bench.evidence.keys import create_key, key_to_seal, load_key, require_usable, usable_key
 from bench.evidence.personal_key import load_file_key
 from bench.evidence.revoked_keys import RevokedKey, read_revoked, revoke
-from bench.evidence.seal import seal_folder
 from bench.evidence.signers import (
     NAMESPACE,
     Signer,
@@ -121,7 +121,7 @@ def sealed_at(tmp_path, name, key, moment):
     folder = tmp_path / name
     folder.mkdir()
     (folder / "results.json").write_text(f'{{"run": {{"calibrated_utc": "{moment.isoformat()}"}}}}')
-    seal_folder(folder, key)
+    seal_unchecked(folder, key)
     return folder
 
 

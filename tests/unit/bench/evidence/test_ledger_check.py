@@ -8,12 +8,12 @@ import pytest
 from authorising import needs_certificates
 from click.testing import CliRunner
 from journals import CLOCK
+from unchecked_seal import seal_unchecked
 
 from bench.base.home import HOME_VARIABLE
 from bench.commands.cli import cli
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.ledger_check import is_sealed_by, ledger_faults_of_run, own_public_keys, sealed_strangers
-from bench.evidence.seal import seal, seal_folder
 from bench.record.events import Event
 from bench.record.journal import Journal, read_journal
 from bench.record.ledger import Ledger
@@ -41,7 +41,8 @@ class Bench:
                 journal.append(Event.DEVICES, camera={"serial": "1"}, stage=[], light={}, camera_settings={})
                 journal.append(Event.RUN_ENDED, how=how, why="")
             if how == "finished":
-                seal(folder, self.key)
+                folder.release_reserve()
+                seal_unchecked(folder.path, self.key)
         self.ledger.end(place["number"], how=how, folder=path)
         RunIndex(self.ledger.home).runs([path])
         return place
@@ -67,7 +68,7 @@ def test_where_ledger_mark_and_index_are_gone_a_sealed_folder_beside_shows_it(
         made.mkdir(parents=True)
         run = {"id": "first", "ledger_number": place["number"], "ledger_head": place["head"]}
         (made / "certificate.json").write_text(json.dumps({"run": run}))
-        seal_folder(made, bench.key)
+        seal_unchecked(made, bench.key)
     for path in [*bench.ledger.home.glob("ledger*"), *bench.ledger.home.glob("runs.sqlite3*")]:
         path.unlink()
     monkeypatch.setenv(HOME_VARIABLE, str(bench.ledger.home))
@@ -153,7 +154,7 @@ def test_a_folder_that_was_sealed_again_or_only_afterwards_is_noticed(bench, tmp
     assert "changed and sealed again" in ledger_faults_of_run(tmp_path / "run", bench.ledger)[0]
     bench.run(tmp_path / "failed", how="failed")
     with RunFolder.open(tmp_path / "failed") as folder:
-        seal(folder, bench.key)
+        seal_unchecked(folder.path, bench.key)
     (fault, *_) = ledger_faults_of_run(tmp_path / "failed", bench.ledger)
     assert "failed without a seal" in fault
 

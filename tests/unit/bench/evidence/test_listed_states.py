@@ -10,7 +10,7 @@ from bench.evidence import listed_states as module
 from bench.evidence.authorisation import authorise
 from bench.evidence.key_trust import Trust
 from bench.evidence.listed_states import listed_states
-from bench.evidence.seal import seal_folder
+from bench.evidence.seal import seal
 from tests.unit.bench.evidence.resealed import writable
 
 
@@ -23,7 +23,7 @@ def reader(tmp_path):
 @pytest.fixture
 def sealed(tmp_path, key, make_run):
     with make_run(tmp_path / "run") as folder:
-        seal_folder(folder.path, key)
+        seal(folder, key)
     return folder.path
 
 

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 from refusals import denied
 
 from bench.base.errors import EvidenceError, StorageError
+from bench.base.failure import Failure
 from bench.evidence.seal import make_manifest, read_manifest, seal
 from bench.evidence.ssh_keys import string, strings
 from bench.evidence.sshsig import is_valid, read_signature
+from bench.evidence.verify import verify_folder
 from bench.record.journal import Journal
+from bench.record.run_folder import is_sealed
 from bench.run.launch import seal_finished
 
 # ------------------------------------------------------------------ signatures
@@ -88,7 +91,16 @@ def test_what_the_seal_lists_is_on_the_disk_before_it(make_run, key, tmp_path, s
 
 
 @pytest.mark.parametrize(
-    "strange", ["link", "folder link", "pipe", "line\nfeed", "back\\slash", "no journal"]
+    "strange",
+    [
+        "link",
+        "folder link",
+        "pipe",
+        "line\nfeed",
+        "back\\slash",
+        os.fsdecode(b"Dr\374cken.txt"),
+        "no journal",
+    ],
 )
 def test_what_cannot_be_listed_is_not_sealed(make_run, key, tmp_path, strange):
     with make_run(tmp_path / "run") as folder:
@@ -106,6 +118,69 @@ def test_what_cannot_be_listed_is_not_sealed(make_run, key, tmp_path, strange):
         ):
             seal(folder, key)
         assert not (folder.path / "SHA256SUMS.sig").exists()
+
+
+@pytest.fixture
+def refused_seal(make_run, key, tmp_path):
+    """What changes a run before it is sealed, and returns the refusal of its seal."""
+
+    def refused(change):
+        with make_run(tmp_path / "run") as folder:
+            change(folder.path)
+            with pytest.raises(EvidenceError) as refusal:
+                seal(folder, key)
+        assert not is_sealed(folder.path)
+        assert not (folder.path / "SHA256SUMS").exists()
+        return Failure.of(refusal.value).message
+
+    return refused
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "exports/more.yaml", "captures/pose-009-attempt-1.raw"])
+def test_a_stray_file_is_named_before_the_seal_and_the_way_on_is_told(refused_seal, tmp_path, name):
+    message = refused_seal(lambda run: (run / name).write_text("the lamp was warm"))
+    assert f"verified. {name}: " in message
+    assert "Move out what does not belong in this folder" in message
+    assert message.endswith(f"starbench resume {tmp_path / 'run'}")
+
+
+def test_a_run_whose_stray_file_was_moved_out_is_sealed_and_verified(make_run, key, signers, tmp_path):
+    with make_run(tmp_path / "run") as folder:
+        (folder.path / "notes.txt").write_text("the lamp was warm")
+        with pytest.raises(EvidenceError, match=r"notes\.txt: no run folder has this file"):
+            seal(folder, key)
+        (folder.path / "notes.txt").rename(tmp_path / "notes.txt")
+        seal(folder, key)
+    assert verify_folder(tmp_path / "run", signers).ok
+
+
+@pytest.mark.parametrize("name", ["captures/pose-002-attempt-1.raw", "results.json", "plan.json", "views.h5"])
+def test_a_run_that_lacks_what_its_journal_names_is_not_sealed(refused_seal, name):
+    message = refused_seal(lambda run: (run / name).unlink())
+    assert f"{name}: the journal names this file; it is missing" in message
+
+
+def test_a_run_with_a_recording_that_was_changed_is_not_sealed(refused_seal):
+    name = "captures/pose-002-attempt-1.raw"
+    message = refused_seal(lambda run: (run / name).write_bytes(b"changed"))
+    assert f"{name}: the journal names this file with another hash" in message
+
+
+@pytest.mark.parametrize("cut", ["the last line", "the first line", "half a line"])
+def test_a_run_whose_journal_was_cut_is_not_sealed(refused_seal, cut):
+    def change(run):
+        path = run / "journal.jsonl"
+        lines = path.read_bytes().splitlines(keepends=True)
+        left = {"the last line": lines[:-1], "the first line": lines[1:], "half a line": [*lines[:-1], b"{"]}
+        path.write_bytes(b"".join(left[cut]))
+
+    assert "verified. journal.jsonl" in refused_seal(change)
+
+
+def test_of_many_files_that_are_missing_a_screen_is_told(refused_seal):
+    message = refused_seal(lambda run: [(run / f"{number}.txt").touch() for number in range(9)])
+    assert "4.txt: no run folder has this file. And 4 more." in message
+    assert "5.txt" not in message
 
 
 def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path, monkeypatch):
@@ -149,9 +224,10 @@ def test_a_list_that_is_not_one_of_ours_is_refused(text):
 
 
 def test_a_finished_run_without_results_is_sealed_when_it_is_taken_up_again(make_run, key, tmp_path):
-    with make_run(tmp_path / "run") as folder:
-        (folder.path / "results.json").unlink()
-        with Journal.open(folder.journal_path, None) as journal:
-            end = seal_finished(folder, journal, key)
+    with (
+        make_run(tmp_path / "run", reported=False) as folder,
+        Journal.open(folder.journal_path, None) as journal,
+    ):
+        end = seal_finished(folder, journal, key)
     assert (end.how, end.outcome) == ("finished", None)
     assert (tmp_path / "run" / "SHA256SUMS.sig").exists()
