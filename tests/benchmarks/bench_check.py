@@ -1,6 +1,6 @@
 """How often the step `check` calls a right camera wrong, and misses a moved lens: one pose, with the collimator's passport.
 
-    python tests/benchmarks/bench_check.py [--seeds 100-139] [--profile NAME]
+    python tests/benchmarks/bench_check.py [--seeds 100-139]
 
 Each bench is drawn. A run of 25 poses with a certificate gives the stated calibration and the passport. Later the lens
 has moved, and one pose is recorded. A change of 1 U is the expanded uncertainty (k = 2) of the difference of that value
@@ -54,20 +54,19 @@ def main() -> None:
     """Print the table."""
     parser = measured.options(__doc__)
     parser.add_argument("--seeds", type=measured.seeds, default="100-139")
-    parser.add_argument("--profile", default="like-bench")
     given = parser.parse_args()
     called = {(kind, change): 0 for kind in KINDS for change in CHANGES}
     named, sizes = dict.fromkeys(called, 0), {kind: [] for kind in KINDS}
     for seed in given.seeds:
-        before = stated(given.profile, seed)
+        before = stated("like-bench", seed)
         passport, truth = before.passport(), CameraTruth()
-        unmoved = later(given.profile, seed, truth, passport, 1)
+        unmoved = later("like-bench", seed, truth, passport, 1)
         for again, (kind, change) in enumerate(called, 2):
             names = KINDS[kind]
             unit = expanded(before, unmoved, names[0])
             sizes[kind].append(unit)
             moved = replace(truth, **{name: getattr(truth, name) + change * unit for name in names})
-            camera_check = later(given.profile, seed, moved, passport, again)
+            camera_check = later("like-bench", seed, moved, passport, again)
             checked = check_camera(
                 before.camera, before.camera_covariance, camera_check.camera, camera_check.camera_covariance,
                 np.random.default_rng(seed),

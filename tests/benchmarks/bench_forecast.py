@@ -1,6 +1,6 @@
 """Compare forecasts with calibrations of drawn benches: expected against stated uncertainty.
 
-    python tests/benchmarks/bench_forecast.py [--profiles S1 S3 ...] [--poses 3 9 25] [--asked radial ...] [--seeds 200-202]
+    python tests/benchmarks/bench_forecast.py [--seeds 200-202]
 
 Each row is a profile of the collimator, a number of poses, and what is known besides the views. ``radial``: nothing.
 ``certificate``: r = 255 +- .05 mm. ``readings``: readings of the gimbal of .002 degrees, with the bounds of their
@@ -92,13 +92,10 @@ def row(profile: str, poses: int, asked: str, seeds: range) -> tuple[float, floa
 
 def main() -> None:
     parser = measured.options(__doc__)
-    parser.add_argument("--profiles", nargs="+", default=list(ERRORS), choices=ERRORS)
-    parser.add_argument("--poses", nargs="+", type=int, default=list(POSES), choices=POSES)
-    parser.add_argument("--asked", nargs="+", default=list(ASKED), choices=ASKED)
     parser.add_argument("--seeds", type=measured.seeds, default="200-202")
     given = parser.parse_args()
     ratios = []
-    for poses, profile, asked in product(given.poses, given.profiles, given.asked):
+    for poses, profile, asked in product(POSES, ERRORS, ASKED):
         ratios.append(ratio := row(profile, poses, asked, given.seeds))
         text = f"{profile:<11}{poses:>5}  {asked:<12}{ratio[0]:>7.2f}{ratio[1]:>7.2f}"
         print(text, file=sys.stderr, flush=True)

@@ -1,6 +1,6 @@
 """Calibrate the published recordings of a real collimator: all views, and random triples of them.
 
-    python tests/benchmarks/bench_recordings.py FOLDER [--triples 100] [-o FILE]
+    python tests/benchmarks/bench_recordings.py FOLDER [--triples 100]
 
 FOLDER is ``collimator_real`` (tests/data/README.md says where it comes from). Nothing is known besides the views. Printed:
 fx, rms and left-out rms of all 20 views; over the triples: scatter of each number (robust: half of the middle 68 %, with
@@ -8,7 +8,6 @@ its standard error: triples share views, so each view is left out in turn), stat
 triples are within U of the value by all views.
 """
 
-import json
 from pathlib import Path
 
 import measured
@@ -26,7 +25,6 @@ def main() -> None:
     parser = measured.options(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--triples", type=int, default=100)
-    parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()
     views = read(given.folder)
     whole = solved(views, tuple(range(COUNT)))
@@ -36,8 +34,6 @@ def main() -> None:
     )
     drawn = triples(given.triples)
     lines = [solved(views, chosen) for chosen in drawn]
-    if given.output:
-        given.output.write_text("".join(json.dumps(line) + "\n" for line in [whole, *lines]))
     kept = [line for line in lines if "refused" not in line]
     chosen = np.array([triple for triple, line in zip(drawn, lines, strict=True) if "refused" not in line])
     print(f"{len(lines)} triples, {len(lines) - len(kept)} refused")

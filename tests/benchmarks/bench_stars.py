@@ -5,7 +5,7 @@ the last polarity of the published method. The columns are, over some random pos
 of the centres per axis; the z-score of the centres by their covariances; complete stars that were missed; stars that are
 wrong by more than half a pixel; CPU seconds of one core for detection (median view, and 95th percentile).
 
-    python tests/benchmarks/bench_stars.py [--poses 10] [--write]
+    python tests/benchmarks/bench_stars.py [--write]
 
 The pitch of stars is 48 px.
 """
@@ -37,12 +37,10 @@ def measure(truth: Truth, images: EventImages, kind: str, rotation: Any) -> dict
 
 def main() -> None:
     """Print the table."""
-    parser = measured.options(__doc__)
-    parser.add_argument("--poses", type=int, default=10)
-    options = parser.parse_args()
+    measured.options(__doc__).parse_args()
     truth = Truth(collimator=CollimatorTruth(r=280.0, half_angle_deg=16.0))
     rng = np.random.default_rng(2)
-    poses = [pose_rotation(random_pose(rng), truth.optics) for _ in range(options.poses)]
+    poses = [pose_rotation(random_pose(rng), truth.optics) for _ in range(10)]
     wholly = [len(whole_stars(truth, rotation)) for rotation in poses]
     print(f"stars wholly in view: {min(wholly)} to {max(wholly)}")
     print("drive   noise    image           rms px    z  missed/whole  wrong  stars  detection CPU s, 95 %")

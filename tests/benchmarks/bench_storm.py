@@ -1,6 +1,6 @@
 """Many runs at the same time on one computer: each finishes with the right result, or says that it is too busy.
 
-    python tests/benchmarks/bench_storm.py FOLDER [--runs 20]
+    python tests/benchmarks/bench_storm.py FOLDER
 
 FOLDER is new. Prints for each run how it ended, how late the computer was, and fx, which is that of a quiet run of that
 seed. A message with a wrong remedy makes the exit status 1.
@@ -22,11 +22,10 @@ def main() -> int:
     """Run the storm and print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--runs", type=int, default=20)
     given = parser.parse_args()
     given.folder.mkdir(parents=True)
     began_s = time.monotonic()
-    folders = [given.folder / f"run-{number:02d}" for number in range(given.runs)]
+    folders = [given.folder / f"run-{number:02d}" for number in range(20)]
     # Each in a home of its own, so that they share no ledger.
     runs = [start(*RUN, folder, home=given.folder / f"home-of-{folder.name}") for folder in folders]
     loads, wrong = [], 0

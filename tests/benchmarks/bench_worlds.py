@@ -1,22 +1,19 @@
 """Judge the engine on drawn worlds: is the truth within U as often as stated, and how large is U?
 
     python tests/benchmarks/bench_worlds.py -o FILE [--worlds polynomial ...] [--poses 3 9 25] [--known cr c r 0]
-        [--seeds 0-19] [--lens shipped] [--jobs 1] [--quick] [--table]
+        [--seeds 0-19] [--jobs 1]
 
 Each result is a line of JSON in the file; a later run with the same file goes on where the first one was stopped. The
 engine is used through `calib.calibrate` only, so the same program judges another
-checkout: `PYTHONPATH=CHECKOUT python .../bench_worlds.py`. ``--quick`` takes few seeds, 3 and 9 poses, some 2 CPU
-minutes. The world `stranger` needs Optiland; 0 poses: the seed decides. ``--table`` prints the table of a file and
-calibrates nothing. The seeds decide everything that is drawn.
+checkout: `PYTHONPATH=CHECKOUT python .../bench_worlds.py`. The world `stranger` needs Optiland; 0 poses: the seed
+decides. The seeds decide everything that is drawn.
 """
 
 import argparse
 import sys
 from collections.abc import Iterator
-from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import measured
 from worlds.catalogue import WORLDS, result
@@ -26,7 +23,6 @@ from worlds.scores import table
 import calib
 
 Key = tuple[str, int, int, str]
-QUICK: dict[str, Any] = {"seeds": range(4), "poses": [3, 9], "known": ["cr", "c", "0"]}
 
 
 def main() -> None:
@@ -36,22 +32,14 @@ def main() -> None:
     parser.add_argument("--poses", nargs="+", type=int, default=[3, 9, 25])
     parser.add_argument("--known", nargs="+", default=list(KNOWN))
     parser.add_argument("--seeds", type=measured.seeds, default="0-99", help="first-last, or one seed")
-    parser.add_argument("--lens", default="shipped", choices=("shipped", "right"))
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--table", action="store_true", help="print the table of the file only")
     given = parser.parse_args()
-    if given.quick:
-        vars(given).update(QUICK)
     parts = ("world", "poses_asked", "seed", "known")
     done = measured.kept(given.output, lambda line: tuple(line[part] for part in parts))
-    if not given.table:
-        print(f"engine: {Path(calib.__file__).parent}", file=sys.stderr)
-        judged = partial(result, lens=given.lens)
-        measured.add_missing(given.output, done, asked(given), judged, given.jobs)
+    print(f"engine: {Path(calib.__file__).parent}", file=sys.stderr)
+    measured.add_missing(given.output, done, asked(given), result, given.jobs)
     wanted = set(asked(given))
-    lines = [line for key, line in done.items() if key in wanted or given.table]
-    print(table(lines))
+    print(table([line for key, line in done.items() if key in wanted]))
 
 
 def asked(given: argparse.Namespace) -> Iterator[Key]:

@@ -23,7 +23,7 @@ from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -107,29 +107,12 @@ def cpu_times(rounds: int, work: Callable[[], object]) -> Spread:
     return spread(times)
 
 
-class _Tee(io.StringIO):
-    """A text that is kept, and that is printed at once too."""
-
-    def __init__(self, printed: TextIO) -> None:
-        super().__init__()
-        self.printed = printed
-
-    def write(self, text: str) -> int:
-        """See `io.StringIO.write`."""
-        self.printed.write(text)
-        return super().write(text)
-
-    def flush(self) -> None:
-        """See `io.StringIO.flush`."""
-        self.printed.flush()
-
-
 def run(main: Callable[[], int | None], page: str, title: str) -> None:
-    """Run a benchmark and exit with its status. With ``--write``, write what it printed; not if it failed."""
+    """Run a benchmark and exit with its status. With ``--write``, write what it prints; not if it failed."""
     words = [word for word in sys.argv[1:] if word != _WRITE]
     wanted = len(words) < len(sys.argv) - 1
     sys.argv[1:] = words
-    kept = _Tee(sys.stdout)
+    kept = io.StringIO()
     with contextlib.redirect_stdout(kept) if wanted else contextlib.nullcontext():
         status = main()
     if wanted and not status:
@@ -139,21 +122,16 @@ def run(main: Callable[[], int | None], page: str, title: str) -> None:
     sys.exit(status)
 
 
-def write(page: str, title: str, table: str, command: str, folder: Path = FOLDER) -> None:
-    """Replace the table below ``## title`` of a page. A heading that is missing is added at the end of the page."""
-    path = folder / f"{page}.md"
-    text = path.read_text(encoding="utf-8") if path.exists() else f"# Measured: {page}\n"
-    heading = f"\n## {title}\n"
-    if heading not in text:
-        text += heading
-    before, _, rest = text.partition(heading)
+def write(page: str, title: str, table: str, command: str) -> None:
+    """Replace the table below ``## title`` of a page."""
+    path, heading = FOLDER / f"{page}.md", f"\n## {title}\n"
+    before, _, rest = path.read_text(encoding="utf-8").partition(heading)
     section, following = re.match(r"(.*?)(\n## .*|\Z)", rest, re.DOTALL).groups()  # type: ignore[union-attr]
     words = section.partition(ORIGIN)[0].strip("\n")
     shown = table.strip("\n")
     if not shown.startswith("|"):
         shown = f"```text\n{shown}\n```"
     parts = [part for part in (words, origin(command), shown) if part]
-    path.parent.mkdir(exist_ok=True)
     path.write_text(before + heading + "\n" + "\n\n".join(parts) + "\n" + following, encoding="utf-8")
 
 

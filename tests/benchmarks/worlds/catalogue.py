@@ -40,7 +40,7 @@ WORLDS: Mapping[str, Draw] = {
 }
 
 
-def result(world: str, poses: int, seed: int, known: str, lens: str = "shipped") -> dict[str, Any]:
+def result(world: str, poses: int, seed: int, known: str) -> dict[str, Any]:
     """Calibrate one bench of a world, and compare it with its truth.
 
     known: One of `knowledge.KNOWN`; ``passport`` is nine poses with a certificate, then another camera before the same
@@ -51,11 +51,11 @@ def result(world: str, poses: int, seed: int, known: str, lens: str = "shipped")
     line = {"world": world, "poses_asked": poses, "seed": seed}
     if known == "passport":
         before = draw(seed, 9, 1, 0), "cr"
-        return {**line, **judged(draw(seed, poses, 1, 1), known, lens, before)}
+        return {**line, **judged(draw(seed, poses, 1, 1), known, before)}
     rest, _, longer = known.partition("@")
     what, _, times = rest.partition("x")
     bench = draw(seed, poses, int(times or 1), 0)
     bench = replace(bench, stated=replace(bench.stated, r_mm=float(longer or 1.0) * bench.stated.r_mm))
     if "r" in what and bench.facts.get("by_hand"):
         raise ArithmeticError("A hand moves this camera: there are no readings.")
-    return {**line, **judged(bench, what, lens), "known": known}
+    return {**line, **judged(bench, what), "known": known}

@@ -87,7 +87,7 @@ def compared(answer: Answer, bench: Bench) -> dict[str, Any]:
     }
 
 
-def judged(bench: Bench, known: str, lens: str, before: tuple[Bench, str] | None = None) -> dict[str, Any]:
+def judged(bench: Bench, known: str, before: tuple[Bench, str] | None = None) -> dict[str, Any]:
     """Calibrate a bench and compare; a refusal is a result too.
 
     before: Bench and knowledge of an earlier calibration whose passport is used; its time does not count.
@@ -97,9 +97,9 @@ def judged(bench: Bench, known: str, lens: str, before: tuple[Bench, str] | None
     try:
         passport = None
         if before is not None:
-            passport = passport_of(solve(before[0], options_for(*before, lens)))
+            passport = passport_of(solve(before[0], options_for(*before)))
         begun = time.process_time()
-        answer = solve(bench, options_for(bench, known, lens, passport))
+        answer = solve(bench, options_for(bench, known, passport=passport))
         line["cpu_s"] = round(time.process_time() - begun, 3)
         return {**line, **compared(answer, bench)}
     except CalibrationError as error:
