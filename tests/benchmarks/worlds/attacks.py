@@ -66,6 +66,6 @@ def ids_shifted(seed: int) -> dict[str, Any]:
 
 
 def _told(bench: Bench) -> dict[str, Any]:
-    line = judged(bench, "cr", "right")
+    line = judged(bench, "cr", lens="right")
     line["right"] = all(abs(line["error"][what]) <= RIGHT_WITHIN * u for what, u in line["U"].items())
     return line

@@ -87,7 +87,9 @@ def compared(answer: Answer, bench: Bench) -> dict[str, Any]:
     }
 
 
-def judged(bench: Bench, known: str, before: tuple[Bench, str] | None = None) -> dict[str, Any]:
+def judged(
+    bench: Bench, known: str, before: tuple[Bench, str] | None = None, lens: str = "shipped"
+) -> dict[str, Any]:
     """Calibrate a bench and compare; a refusal is a result too.
 
     before: Bench and knowledge of an earlier calibration whose passport is used; its time does not count.
@@ -97,9 +99,9 @@ def judged(bench: Bench, known: str, before: tuple[Bench, str] | None = None) ->
     try:
         passport = None
         if before is not None:
-            passport = passport_of(solve(before[0], options_for(*before)))
+            passport = passport_of(solve(before[0], options_for(*before, lens)))
         begun = time.process_time()
-        answer = solve(bench, options_for(bench, known, passport=passport))
+        answer = solve(bench, options_for(bench, known, lens, passport))
         line["cpu_s"] = round(time.process_time() - begun, 3)
         return {**line, **compared(answer, bench)}
     except CalibrationError as error:

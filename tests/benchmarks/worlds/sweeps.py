@@ -23,13 +23,13 @@ def nested_poses(seed: int) -> Sequence[Pose]:
 def more_poses(seed: int, known: str) -> list[dict[str, Any]]:
     """Results of a real bench with more and more poses, each set within the next one."""
     world, poses = draw_world(seed), nested_poses(seed)
-    return [{"count": n, **judged(record(world, seed, poses[:n]), known, "right")} for n in COUNTS]
+    return [{"count": n, **judged(record(world, seed, poses[:n]), known, lens="right")} for n in COUNTS]
 
 
 def more_knowledge(seed: int, poses: Sequence[Pose]) -> dict[str, dict[str, Any]]:
     """Results of a real bench by what is known."""
     bench = record(draw_world(seed), seed, poses)
-    return {known: judged(bench, known, "right") for known in ("0", "r", "c", "cr")}
+    return {known: judged(bench, known, lens="right") for known in ("0", "r", "c", "cr")}
 
 
 def steps(lines: Sequence[dict[str, Any]], what: str) -> list[float]:

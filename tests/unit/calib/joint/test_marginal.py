@@ -385,7 +385,7 @@ def test_a_pupil_beside_the_axes_does_not_pass_for_another_principal_point():
     """It is off by 2 sigma along both. When they turn, it moves along the beam, and imitates cx."""
     world = polynomial.draw_world(7)
     beside_axes = replace(world, mount=replace(world.mount, beside_mm=np.array([4.0, -4.0])))
-    line = judged(polynomial.record(beside_axes, 7, NINE), "cr", "right")
+    line = judged(polynomial.record(beside_axes, 7, NINE), "cr", lens="right")
     assert all(abs(line["error"][name]) < line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner"))
 
 
@@ -393,7 +393,7 @@ def test_a_pupil_beside_the_axes_does_not_pass_for_another_principal_point():
 def test_what_a_station_states_of_the_pupil_hardly_adds_to_the_uncertainty_of_the_principal_point():
     """It counts together with what is expected. When it replaced that, readings made U of cx 55 % larger."""
     bench = polynomial.record(polynomial.draw_world(7), 7, THREE)
-    by_certificate, with_readings = (judged(bench, known, "right")["U"] for known in ("c", "cr"))
+    by_certificate, with_readings = (judged(bench, known, lens="right")["U"] for known in ("c", "cr"))
     assert all(with_readings[name] < 1.2 * by_certificate[name] for name in ("fx", "fy", "cx", "cy"))
 
 
