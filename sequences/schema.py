@@ -62,7 +62,10 @@ ResultLimits = Annotated[tuple[ResultLimitConfig, ...], Field(max_length=100)]
 
 
 class FlickerConfig(StrictModel):
-    """A flicker. Its level is relative to the station's brightest level, so that a sequence suits every bench."""
+    """A flicker, as the published method's: 60 Hz, of which 33 ms make an image.
+
+    Its level is relative to the station's brightest level, so that a sequence suits every bench.
+    """
 
     waveform: Waveform = "square"
     frequency_hz: Annotated[float, Within(0.001, 100_000, "Hz")] = 60.0
@@ -195,7 +198,7 @@ class SettleConfig(StrictModel):
 class GateConfig(StrictModel):
     """Conditions that a recording must meet to be accepted."""
 
-    min_stars: Annotated[int, Field(ge=0, le=100_000)] = 40
+    min_stars: Annotated[int, Field(ge=0, le=100_000)] = 40  # As `detect.MIN_FOR_LIKELIHOOD`
     max_event_rate_mev_s: Annotated[float | None, Field(gt=0, le=10_000)] = None
     """Default 200; 500 under a sine."""
     max_data_rate_gbit_s: NotNegative | None = None
@@ -211,7 +214,7 @@ class GateConfig(StrictModel):
     """Frequency by triggers against frequency by events; default 0.5, 5 under a sine."""
     max_rate_controller_loss_percent: NotNegative = 1.0
     max_silent_rows: NotNegative = 3
-    """Rows without events between rows with events."""
+    """Rows without events between rows with events: some are dead in some cameras; more hide parts of stars."""
     max_hot_pixels: NotNegative | None = None
     min_flicker_duty: NotNegative | None = None
     """Part of a period in which the sync signal is high, 0 to 1."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # a plan needs none of these
     from drivers.camera.frames import FrameCamera
 
 Facts = TypeVar("Facts", RecordingFacts, FrameFacts)
-RECORDING_MARGIN_S = 1e-3
+RECORDING_MARGIN_S = 1e-3  # Two periods of 60 Hz are still whole if the light is 2 % slow
 """Time recorded in addition to the whole periods and the one that is cut at the ends, s."""
 
 

@@ -60,6 +60,8 @@ MIN_FOR_LIKELIHOOD = 40
 #: Typical factor of the symmetry's covariances, because the residuals of neighbouring pixels are not independent.
 TYPICAL_SYMMETRY_FACTOR = 6.0
 #: Standard uncertainty of a centre, px, per unit of the light's slope (1/pitch by symmetry, px/pitch by likelihood).
+#: Stars at the rim of drawn discs, sine: z-score 1.10 without it, 1.06 with it, 0.92 with 0.1; elsewhere z changes by
+#: 0.03 at most.
 UNEVEN_LIGHT_PX = 0.035
 #: Largest distance between the centres by symmetry and by likelihood, standard deviations: chance alone exceeds it once
 #: in 60 million stars.

@@ -54,7 +54,7 @@ class LightSettings:
     frequency_hz: float = 60.0
     duty_percent: float = 50.0
     low_v: float = 0.0
-    high_v: float = 5.0
+    high_v: float = 5.0  # What inputs of LED drivers take, such as that of a LEDD1B
     sync_output: bool = True
 
 

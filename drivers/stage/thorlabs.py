@@ -46,7 +46,7 @@ class ThorlabsAxis(Axis):
     home_offset_deg: float | None = None  # From the reference switch to the zero, by the counter, in degrees
     home_direction: Direction | None = None  # Direction of the search, by the counter
     home_speed_deg_s: float | None = None  # Speed of the search
-    tolerance_deg: float = 0.005
+    tolerance_deg: float = 0.005  # Ten counts of a PRM1Z8, whose servo does not rest at its goal exactly
 
     @property
     def scale(self) -> float:

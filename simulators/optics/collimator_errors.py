@@ -49,7 +49,7 @@ EDGE: Final = 1.2
 """Distance from the disc's centre, in radii, beyond which the field is constant."""
 RIM_FROM: Final = 0.86
 """Distance from the disc's centre, in radii, at which the rim's field begins; it is full at the disc's edge."""
-RIM_POWER: Final = 1.6
+RIM_POWER: Final = 1.6  # With the other numbers of the rim, "like-real" has the residuals of a real one
 RIM_HARMONICS: Final = 3
 """Largest number of periods of the rim's field around the disc."""
 RIM_OUTWARDS: Final = 1.6

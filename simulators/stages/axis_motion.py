@@ -325,7 +325,10 @@ class Axis:
 
 
 class Unit(ABC):
-    """Something with power that moves axes; for ``BOOT_S`` after a restart it gives no answers."""
+    """Something with power that moves axes; for ``BOOT_S`` after a restart it gives no answers.
+
+    No maker states that time; those here are chosen, of the order of a second.
+    """
 
     BOOT_S: ClassVar[float] = 0.0
 

@@ -31,7 +31,7 @@ from simulators.world.trajectory import LoadTrajectory
 _COMMAND: Final = re.compile(r"([A-Z]+?)(-?\d+)?")
 _MAX_LINE: Final = 64  # Commands have some characters
 _NAMES: Final = {"P": "Pan", "T": "Tilt"}
-_BASE_SPEED: Final = 57
+_BASE_SPEED: Final = 57  # The default of a D300 (its manual, 4.4.5); a D46 has 1000
 _MOST_SPEED_DEG_S: Final = 100.0
 _LARGEST: Final = 10**9
 _STEPS: Final = {"F": 0.5, "H": 1.0, "Q": 2.0, "E": 4.0, "A": 4.0}

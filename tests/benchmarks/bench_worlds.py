@@ -38,8 +38,7 @@ def main() -> None:
     done = measured.kept(given.output, lambda line: tuple(line[part] for part in parts))
     print(f"engine: {Path(calib.__file__).parent}", file=sys.stderr)
     measured.add_missing(given.output, done, asked(given), result, given.jobs)
-    wanted = set(asked(given))
-    print(table([line for key, line in done.items() if key in wanted]))
+    print(table([done[key] for key in asked(given) if key in done]))
 
 
 def asked(given: argparse.Namespace) -> Iterator[Key]:

@@ -62,12 +62,13 @@ class VirtualBench:
             mock.patch.object(Job, "from_plan", from_plan),
             mock.patch("bench.run.launch.Devices", Wired),
             mock.patch("bench.run.runner.ResultWriter", RehearsedResults),
+            mock.patch("bench.evidence.seal.check_content"),  # which refuses such results
             mock.patch.dict(os.environ, {"STARBENCH_HOME": str(self.home)}),
         )
 
     def begin(self):
-        job, devices, results, home = self._virtual()
-        with job, devices, results, home:
+        job, devices, results, seal, home = self._virtual()
+        with job, devices, results, seal, home:
             return start_run(
                 str(self.sequence), str(self.station), output=self.run, seed=1, operator="Ada",
                 launch=Launch(self.clock, stream=io.StringIO()),
@@ -75,8 +76,8 @@ class VirtualBench:
 
     def resume(self):
         self.clock = VirtualClock(self.clock.utc_now())
-        job, devices, results, home = self._virtual()
-        with job, devices, results, home:
+        job, devices, results, seal, home = self._virtual()
+        with job, devices, results, seal, home:
             return resume_run(self.run, Launch(self.clock, stream=io.StringIO()))
 
     def entries(self):

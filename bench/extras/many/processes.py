@@ -24,7 +24,7 @@ _MODULE = "bench.extras.many.processes"
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _LOOK_S = 1.0  # A worker whose command was killed works on for so long
 _MOST_PROCESSES = 1024  # As `bench.commands.workers` allows
-_LEAST_BYTES = 4 << 30
+_LEAST_BYTES = 4 << 30  # A fit of 20 views with 9,000 stars takes 0.94 GB
 """Memory that each process on this computer may use at least: a share of this computer's may be less."""
 _SILENCE_S = 60.0
 """How long to wait while the scheduler has no worker, s: a cluster needs time to start one."""

@@ -21,10 +21,9 @@ def table(lines: Sequence[Line]) -> str:
         "| world, stated | number | covered, %: fx fy cx cy corner r | RMS of 2 error / U | largest error / U | named as wrong | fx: error, U | cx | CPU: median, 95 % |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
+    lines = [line for line in lines if "refused" not in line]
     for key in sorted({(line["world"], line["known"]) for line in lines}):
-        solved = [line for line in lines if (line["world"], line["known"]) == key and "refused" not in line]
-        if not solved:
-            continue
+        solved = [line for line in lines if (line["world"], line["known"]) == key]
         over = [ratios(solved, what) for what in WHAT]
         covered = " ".join(f"{100 * np.mean(ratios <= 1):.0f}" for ratios in over)
         rms = " ".join(f"{2 * np.sqrt(np.mean(ratios**2)):.2f}" for ratios in over)
