@@ -254,7 +254,7 @@ def _check_ledger(folder: Path) -> Findings:
     for what in ledger_faults_of_run(folder, ledger):
         findings.fault("ledger", JOURNAL, what.rstrip("."))
     place = StoredRun(folder).history.ledger
-    if not findings.faults and not (place and ledger.contains(place)):
+    if not findings.faults and not (place and ledger.entered(place)):
         findings.remarks.append(
             "this run is not in the ledger of this bench, so no ledger confirms its number"
         )

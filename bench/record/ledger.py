@@ -184,20 +184,20 @@ class Ledger:
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
         with self._mended() as journal:
             begun = any(e.event == RUN_BEGUN and e.data["number"] == number for e in journal.entries)
-            lost = {} if begun else {"lost": True, "folder": str(folder)}
+            lost = {} if begun else {"lost": True}
             judged = {} if verdict is None else {"verdict": verdict._asdict()}
-            journal.append(RUN_ENDED, number=number, how=how, seal=seal, **judged, **lost)
+            journal.append(RUN_ENDED, number=number, how=how, seal=seal, folder=str(folder), **judged, **lost)
 
     def refuse_break(self, strangers: Strangers = no_strangers) -> None:
         """Refuse a ledger with a break that nobody has explained. A run checks this before it makes its folder."""
         faults, _ = self.breaks(strangers)
         refuse(faults, self.path)
 
-    def contains(self, place: Mapping[str, Any]) -> bool:
-        """Return whether a run was entered in this ledger, by the hash of its line; False if it is damaged."""
+    def entered(self, place: Mapping[str, Any]) -> LedgerRun | None:
+        """Return the run that was entered in this ledger by the line with this hash; None also if it is damaged."""
         with suppress(JournalBroken):
-            return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in self.entries())
-        return False
+            return next((run for run in self.runs() if run.head == place.get("head")), None)
+        return None
 
     def runs(self) -> list[LedgerRun]:
         """List all runs in the order of their numbers; empty while there is no ledger."""

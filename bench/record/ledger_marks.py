@@ -99,7 +99,7 @@ class LedgerRun(NamedTuple):
 
     number: int  # Number of the run in the ledger, from 1
     run_id: str
-    folder: str
+    folder: str  # Where it ended last, or began: a folder may be moved, or copied, before its run is resumed
     camera: str
     simulated: bool  # Whether any device was simulated
     begun_utc: str  # Time of the start, ISO 8601
@@ -144,8 +144,9 @@ def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
                 runs.append(LedgerRun(number, *names, begun_utc=entry.utc, head=entry.hash))
             elif entry.event == RUN_ENDED and not data.get("lost"):
                 at = place_of[data["number"]]
-                end = {"how": data["how"], "seal": data["seal"], "verdict": read_verdict(data)}
-                runs[at] = runs[at]._replace(ended_utc=entry.utc, **end)
+                end = {"folder": runs[at].folder, **data}  # an earlier version stated no folder
+                end = {name: end[name] for name in ("how", "seal", "folder")}
+                runs[at] = runs[at]._replace(ended_utc=entry.utc, verdict=read_verdict(data), **end)
         except (LookupError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} of the ledger is not a line about a run.",

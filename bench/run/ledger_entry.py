@@ -11,13 +11,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from bench.base.clock import BenchClock
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, RunFolderError
 from bench.base.home import home_folder
+from bench.base.pasteable import pasteable
 from bench.evidence.ledger_check import sealed_strangers
 from bench.plan.job import Job
 from bench.record.events import LedgerPlace
 from bench.record.ledger import Ledger
 from bench.record.ledger_marks import EXPLAIN
+from bench.record.run_folder import is_sealed
 from bench.record.run_index import RunIndex
 from bench.record.run_verdict import run_verdict
 from bench.run.runner import RunEnd
@@ -43,14 +45,16 @@ def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace |
     """Enter a run in the ledger if it is not there at ``known``, as where it began on another bench."""
     station = job.station
     strangers = sealed_strangers(ledger.home)
-    if known and ledger.contains(known):
+    if known and (run := ledger.entered(known)):
+        if run.seal and is_sealed(Path(run.folder)):
+            raise RunFolderError(
+                "This run was continued in another folder; it is finished and sealed there.",
+                where=str(folder),
+                remedy=f"A run has one end. To check it: {pasteable('verify', run.folder)}",
+            )
         refuse_broken_ledger(ledger, job)
         faults, _ = ledger.breaks(strangers)
-        place: LedgerPlace = {
-            "number": known["number"],
-            "head": known["head"],
-            "of_camera": known["of_camera"],
-        }
+        place = LedgerPlace(number=known["number"], head=known["head"], of_camera=known["of_camera"])
         if faults:
             place["faults"] = [f"{fault} {EXPLAIN}" for fault in faults]
     else:

@@ -29,13 +29,13 @@ def test_a_run_is_in_it_from_its_begin_open_until_it_ends_and_then_as_it_ended_l
 
 
 def test_a_run_is_known_where_it_was_entered_and_not_by_another_of_its_number_and_name(ledger, tmp_path):
-    assert not ledger.contains({"number": 1})
+    assert not ledger.entered({"number": 1})
     place = begin(ledger)
-    assert ledger.contains(place)
-    assert not ledger.contains({})
+    assert ledger.entered(place).number == 1
+    assert not ledger.entered({})
     other = begin(Ledger(tmp_path / "another bench", CLOCK), camera="00050999")
     assert other["number"] == place["number"]
-    assert not ledger.contains(other)
+    assert not ledger.entered(other)
 
 
 def test_runs_of_a_camera_are_counted_as_they_stand(ledger, tmp_path):

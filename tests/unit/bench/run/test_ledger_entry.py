@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.base.errors import EvidenceError
+from bench.base.errors import EvidenceError, RunFolderError
 from bench.report.run_tables import identification
 from bench.run.ledger_entry import enter_in_ledger, ledger_entry, ledger_lines, refuse_broken_ledger
 from bench.run.runner import RunEnd
@@ -18,8 +18,8 @@ def job(**section):
     )
 
 
-def run(ledger, folder, task):
-    place = enter_in_ledger(ledger, task, folder)
+def run(ledger, folder, task, known=None):
+    place = enter_in_ledger(ledger, task, folder, known)
     with ledger_entry(ledger, place, folder) as ending:
         ending(RunEnd("aborted", "", folder, None))
     return place
@@ -60,6 +60,17 @@ def test_a_run_that_is_resumed_keeps_its_place_unless_the_ledger_has_lost_it(led
     again = enter_in_ledger(ledger, job(), tmp_path / "a", place)
     assert again["head"] != place["head"]
     assert "was damaged" in again["faults"][0]
+
+
+def test_a_run_that_a_copy_of_its_folder_has_ended_is_not_resumed(ledger, tmp_path):
+    place = run(ledger, tmp_path / "a", job())
+    (copy := tmp_path / "copy").mkdir()
+    for name in ("SHA256SUMS", "SHA256SUMS.sig"):
+        (copy / name).write_text("sealed")
+    run(ledger, copy, job(), place)
+    assert ledger.faults() == []
+    with pytest.raises(RunFolderError, match=f"starbench verify {copy}"):
+        enter_in_ledger(ledger, job(), tmp_path / "a", place)
 
 
 def test_a_resumed_run_tells_of_a_break_too(ledger, tmp_path):
