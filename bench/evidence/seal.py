@@ -106,7 +106,12 @@ def instructions(kind: FolderKind, *, principal: str, fingerprint: str) -> str:
 def seal(folder: RunFolder, key: BenchKey) -> str:
     """Seal a run folder that the caller has locked, with journal and report complete; else it is refused."""
     if not folder.journal_path.is_file():
-        raise EvidenceError(f"There is no {JOURNAL} to seal.", where=str(folder.path))
+        raise EvidenceError(
+            f"The folder of this run was moved, renamed or deleted during the run: {JOURNAL} is not here any more.",
+            where=str(folder.path),
+            remedy="The journal, and what was written before, are in the folder with its new name; what was written"
+            " after that is here. Move it there, then seal that folder: `starbench resume FOLDER`.",
+        )
     folder.release_reserve()
     return seal_folder(folder.path, key)
 
