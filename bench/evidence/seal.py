@@ -11,18 +11,21 @@ from __future__ import annotations
 import os
 import re
 import stat
+from contextlib import suppress
 from pathlib import Path
 
-from bench.base.errors import EvidenceError
+from bench.base.errors import BenchError, EvidenceError
 from bench.base.pasteable import pasteable
 from bench.evidence.content_check import check_content
 from bench.evidence.findings import Verification
 from bench.evidence.folder_kinds import FolderKind, folder_kind
 from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
+from bench.record.history import begun_with
 from bench.record.journal import CAPTURES
 from bench.record.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
 from bench.record.storage import sha256_of, storage_errors, write_atomic
+from bench.record.stored_run import StoredRun
 from drivers.durable import sync_file
 from drivers.new_output import TEMPORARY
 
@@ -160,8 +163,14 @@ def _refuse_faults(path: Path, manifest: bytes) -> None:
 
 
 def _mend(path: Path) -> str:
-    again = pasteable("resume", path) if (path / JOURNAL).is_file() else "repeat the command."
-    return f"Move out what does not belong in this folder, put back what is missing or changed. Then seal it: {again}"
+    how = "Move out what does not belong in this folder, put back what is missing or changed. Then"
+    if not (path / JOURNAL).is_file():
+        return f"{how} repeat the command."
+    how += f" seal it: `{pasteable('resume', path)}`."
+    with suppress(BenchError):  # a damaged journal does not state how its run was begun
+        again = pasteable("run", *begun_with(StoredRun(path).history, path))
+        how += f" If a file is lost for ever, this run stays a draft; make a new run: {again}"
+    return how
 
 
 def _sync_files(path: Path) -> None:

@@ -361,6 +361,12 @@ def _apply_command(history: History, data: Commanded) -> None:
             history.to_skip[int(data["pose"])] = str(data["by"])
 
 
+def begun_with(history: History, folder: Path) -> Sequence[str]:
+    """Return the arguments of `starbench run` that begin a run again; an earlier version kept only its files."""
+    copies = (str(folder / SEQUENCE_COPY), "--station", str(folder / STATION_COPY))
+    return history.started.get("begun_with") or copies
+
+
 def way_on(history: History, folder: Path) -> tuple[str, str]:
     """Return what there is to know, as a sentence, and the command that can work.
 
@@ -374,8 +380,7 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
         )
     if kind and (not history.attempts or (kind == "PoseFailed" and not history.accepted())):
         nothing = "accepted" if history.attempts else "recorded"
-        begun = history.started.get("begun_with")  # which earlier versions did not write
-        files = begun or (str(folder / SEQUENCE_COPY), "--station", str(folder / STATION_COPY))
+        files = begun_with(history, folder)
         look = f" See what the camera sees: `{pasteable('align', *files[1:3])}`." if history.attempts else ""
         known = (
             f"Nothing was {nothing}.{look} If the cause is on the bench, remove it and continue: "

@@ -31,11 +31,7 @@ from bench.record.journal import Journal
 from bench.record.journal_line import Entry
 from bench.record.pace import pace_on
 from bench.record.recovery import WIRE_LOG, gone_captures
-from bench.record.run_folder import (
-    REPORT,
-    RunFolder,
-    require_resumable,
-)
+from bench.record.run_folder import REPORT, RunFolder, require_resumable
 from bench.record.stored_run import StoredRun
 from bench.run.control import remove_inbox
 from bench.run.crash_log import archive_crash, crash_log, read_crash

@@ -131,7 +131,7 @@ def test_a_stray_file_is_named_before_the_seal_and_the_way_on_is_told(refused_se
     message = refused_seal(lambda run: (run / name).write_text("the lamp was warm"))
     assert f"verified. {name}: " in message
     assert "Move out what does not belong in this folder" in message
-    assert message.endswith(f"starbench resume {tmp_path / 'run'}")
+    assert f"seal it: `starbench resume {tmp_path / 'run'}`" in message
 
 
 def test_a_run_whose_stray_file_was_moved_out_is_sealed_and_verified(make_run, key, signers, tmp_path):
@@ -145,9 +145,13 @@ def test_a_run_whose_stray_file_was_moved_out_is_sealed_and_verified(make_run, k
 
 
 @pytest.mark.parametrize("name", ["captures/pose-002-attempt-1.raw", "results.json", "plan.json", "views.h5"])
-def test_a_run_that_lacks_what_its_journal_names_is_not_sealed(refused_seal, name):
+def test_a_run_that_lacks_what_its_journal_names_is_not_sealed_and_can_be_made_anew(
+    refused_seal, tmp_path, name
+):
     message = refused_seal(lambda run: (run / name).unlink())
     assert f"{name}: the journal names this file; it is missing" in message
+    run = tmp_path / "run"
+    assert message.endswith(f"starbench run {run / 'sequence.yaml'} --station {run / 'station.yaml'}")
 
 
 def test_a_run_with_a_recording_that_was_changed_is_not_sealed(refused_seal):
