@@ -26,7 +26,8 @@ def parse_json(data: bytes | str) -> Any:
     if len(text) > MOST_VALUES and levels + text.count(",") > MOST_VALUES:
         raise ValueError(f"it has more than {MOST_VALUES} values")
     if text.removesuffix("\n")[-1:].isspace():
-        raise ValueError("blanks stand behind its end")
+        windows = "its lines end in CR LF, as on Windows"
+        raise ValueError(windows if text.endswith("\r\n") else "blanks stand behind its end")
     if text.startswith("\ufeff"):
         raise ValueError("it begins with a byte-order mark (BOM)")
     try:

@@ -30,6 +30,7 @@ _LEAST_EIGENVALUE = 1e-13
 _ASYMMETRY = 1e-9  # Rounding of numbers with 15 digits, far above
 _LARGEST_BYTES = 1_000_000  # A covariance of 100 parameters takes a quarter
 _REMEDY: Final = "Make a passport with `starbench passport make`."
+_CHANGED: Final = "Perhaps an editor or a transfer changed it: get the original again, or make a passport."
 
 
 def _of_passports(schema: Any) -> Any:
@@ -102,8 +103,8 @@ def parse_passport(data: bytes, where: str) -> PassportFile:
     except (EvidenceError, InputMismatch) as error:
         raise UsageError(error.what, where=where, remedy=error.remedy or _REMEDY) from error
     except ValueError as error:
-        what = f"The file is not a passport. It is not JSON: {error}."
-        raise UsageError(what, where=where, remedy=_REMEDY) from error
+        what = f"This is not the text of a passport: {error}."
+        raise UsageError(what, where=where, remedy=_CHANGED) from error
     return PassportFile(passport, data, seal)
 
 

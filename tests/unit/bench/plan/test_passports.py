@@ -130,8 +130,8 @@ WOBBLE = {"names": ["r", "wobble"], "values": [255, 1], "covariance": [[1, 0], [
     ("content", "fault_text"),
     [
         (None, "There is no such passport file."),
-        ("{", "line 1 column 2"),
-        ("\xff", "The file is not a passport"),
+        ("{}\r\n", "its lines end in CR LF"),
+        ("\xff", "get the original again"),
         ('{"schema": "starbench/results/1"}', "schema is 'starbench/results/1'"),
         ("1" * 1_000_001, "more than 1000000 bytes"),
         (json.dumps(RADIUS | {"values": [-255.0]}), "radius r is not positive"),
