@@ -29,7 +29,7 @@ FORMAT = "starbench/views/1"
 _ARRAYS = {"ids": np.int64, "points_px": np.float64, "target_mm": np.float64, "covariances_px2": np.float64}
 _RIM = ("points_mm", "sigmas_mm", "lit_mm")
 _MOST_BYTES = 1 << 30  # Far above the arrays of a view
-_REMEDY = "Delete the file; `starbench.load` then finds the stars again in the captures."
+_REMEDY = "Copy the folder without this file: `starbench.load` of the copy finds the stars again."
 
 
 @dataclass(frozen=True, eq=False)
