@@ -24,7 +24,7 @@ from bench.record.run_folder import (
 from bench.record.storage import is_plain_file, read_bounded, read_json
 
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
-"""Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
+"""Files of runs. If a folder with one of them has no file that marks its kind, somebody removed that file."""
 _CANONICAL = {RESULTS: True, PLAN: True, SOURCES: True}
 """JSON files that the program writes in one form only; whether other letters than ASCII are escaped in them."""
 

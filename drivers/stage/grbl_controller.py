@@ -24,7 +24,7 @@ CANCEL_JOG = b"\x85"
 RESET = b"\x18"
 """Real-time commands: the firmware takes these bytes out of the line at once, whatever it is doing."""
 
-_MARKER_S = 0.5  # Longest wait for the answer that shows that the line is in step
+_MARKER_S = 0.5  # Longest wait for the reply that shows that no older reply will follow
 _BOOT_TRIES = 6
 """A board that restarts because its port was opened sends nothing for a second or two."""
 _INVALID_LINE = b"Q\n"

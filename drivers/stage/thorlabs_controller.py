@@ -20,8 +20,8 @@ from drivers.stage.refusals import read_back_otherwise
 from drivers.wire_log import WireLog
 
 _MARKER_S: Final = 0.45
-"""Longest wait for the identity that shows that the line is in step. With 0.3 s, a unit that restarts was given up
-before it answered."""
+"""Longest wait for the identity, which shows that no older reply will follow. After 0.3 s, a unit that restarts has not
+answered yet."""
 _STOP_POLL_S: Final = 0.02  # Pause between two readings, so that a stop is seen at once
 _POLLS_A_STOP: Final = 5
 """While the axis moves, the stop is sent again after so many readings: it may be lost, and has no reply."""

@@ -31,7 +31,7 @@ from drivers.stage.ximc_protocol import (
 )
 from drivers.wire_log import WireLog
 
-_MARKER_S = 0.5  # Longest wait for the serial number that shows that the line is in step
+_MARKER_S = 0.5  # Longest wait for the serial number; after it no older reply follows
 
 S = TypeVar("S", bound=Settings)
 _OWN_COMMANDS = {"move", "home"}

@@ -25,7 +25,7 @@ from drivers.stage.watched import AxisState, OneLineStage
 from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 
-_MARKER_S = 0.5  # Longest wait for the answer that shows that the line is in step
+_MARKER_S = 0.5  # Longest wait for the reply that shows that no older reply will follow
 _MESSAGE_IDS = 100  # Ids have two digits
 _ANSWERED_ALREADY = frozenset({1, _MESSAGE_IDS - 1})
 """Ids, against that of a request, of the request before it and of the marker between the two."""
