@@ -101,6 +101,10 @@ def _clock(entries: Sequence[Entry], findings: Findings) -> None:
             findings.fault("journal", f"{JOURNAL}:{entry.seq + 1}", "its time cannot be read")
             return
         if entry.event == CLOCK_JUMPED:
+            what = f"the computer's clock jumped by {entry.data.get('jump_s')!a:.9} s during the run"
+            findings.remarks.append(
+                f"{JOURNAL}:{entry.seq + 1}: {what}; the times before and after do not agree"
+            )
             continue
         bound_s = CLOCK_JUMP_S + _CLOCK_SLACK_S
         other_process = entry.event == Event.RUN_RESUMED  # its monotonic clock may begin anew

@@ -30,6 +30,7 @@ from bench.record.events import (
 )
 from bench.record.folder_lock import is_locked, resume_process, suspended_process
 from bench.record.history import History, way_on
+from bench.record.journal import CLOCK_JUMPED
 from bench.record.journal_line import Entry
 from bench.record.run_folder import PLAN, REPORT
 from bench.record.storage import read_json
@@ -134,6 +135,7 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.ANSWERED: lambda data: f"answer: {data['answer']} ({data['by']})",
     Event.INTERLOCK_RELEASED: _interlock_released_text,
     Event.COMPUTER_BUSY: _busy_text,
+    CLOCK_JUMPED: lambda data: f"the computer's clock jumped by {data.get('jump_s')} s",
     Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
 }
 """Text of each kind of journal line that people read."""

@@ -6,8 +6,11 @@ import pytest
 from rehearsed import Scene
 
 from bench.base.clock import VirtualClock
+from bench.evidence.findings import Verification
+from bench.evidence.journal_check import check_journal
 from bench.record.events import Event
 from bench.record.journal import CLOCK_JUMPED, read_journal
+from bench.run.status import event_text
 
 
 def accepted(scene):
@@ -30,6 +33,9 @@ def test_a_changed_system_clock_is_reported_and_changes_nothing_else(tmp_path, m
     assert jump["jump_s"] == pytest.approx(3600 * hours, abs=2)
     assert accepted(scene) == [1, 2]
     entries, _ = read_journal(scene.folder / "journal.jsonl")
+    assert [text for text in map(event_text, entries) if f"clock jumped by {hours * 3600}" in text]
+    check_journal(scene.folder, {}, found := Verification())
+    assert f"clock jumped by {hours * 3600}" in str(found.remarks)
     assert [e.mono_s for e in entries] == sorted(e.mono_s for e in entries)
     assert entries[-1].mono_s - entries[0].mono_s < 60
 
