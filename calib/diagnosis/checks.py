@@ -44,6 +44,8 @@ PLAUSIBLE_PITCH_MM = (0.05, 500.0)
 PLAUSIBLE_R_MM = (5.0, 50_000.0)  # From a lens as collimator to a mirror of an observatory
 #: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
 _TOLERANCE = 1.5
+#: No camera is turned so far that one axis of the target is so many times as long as the other: that needs 81 degrees.
+_TWO_UNITS = 6.5
 #: Closed forms with a free and with a central principal point agree within this factor if the views show the radius.
 _ALIKE = 1.05
 
@@ -71,9 +73,10 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
     """Return a sentence for each doubt about views without gross errors, before an adjustment: size, duplicates, unit.
 
     ``known_r_mm`` is the collimator's radius from a passport, a certificate or a data sheet.
-    Raises InputMismatch: If points lie outside of the image size, or the known radius shows another unit of the target.
+    Raises InputMismatch: If points lie outside of the image size, or the target has two units, or another than stated.
     """
     require_points_inside(views)
+    _require_one_unit(views)
     return (*find_duplicates(views), *filter(None, [check_target_units(views, known_r_mm=known_r_mm)]))
 
 
@@ -130,6 +133,23 @@ def _alike_words(first: View, other: View) -> str:
         f" {rms:.2g} px rms, less than two recordings would ({1.4142 * noise:.2g} px per axis). Check that one"
         " recording was not used twice."
     )
+
+
+def _require_one_unit(views: Sequence[View]) -> None:
+    """Refuse a target whose X and Y are in two units: no turn of a camera makes all views so narrow."""
+    ratios = [_x_to_y(view) for view in views]
+    if min(ratios) > _TWO_UNITS or max(ratios) * _TWO_UNITS < 1.0:
+        raise InputMismatch(
+            f"In the image, a length of 1 along X of the target is {np.median(ratios):.3g} times as long as along Y.",
+            where=_TARGET,
+            remedy="X and Y are in two units: give both in mm.",
+        )
+
+
+def _x_to_y(view: View) -> float:
+    """Return the ratio of lengths in the image along X and along Y of the target; 1 for stars on a line."""
+    (x, y, _), _, rank, _ = np.linalg.lstsq(np.c_[view.target_mm, np.ones(len(view))], view.points_px)
+    return float(np.hypot(*x) / np.hypot(*y)) if rank == 3 else 1.0
 
 
 def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> str:

@@ -187,6 +187,12 @@ def test_another_unit_than_the_known_radius_shows_is_named_and_refused(views, un
         check_views(in_unit(views, length), known_r_mm=255.0)
 
 
+@pytest.mark.parametrize("lengths_mm", [(1, 25.4), (25.4, 1), (1, 10), (1, 0.001)])
+def test_two_units_of_x_and_y_are_refused(views, lengths_mm):
+    with pytest.raises(InputMismatch, match="X and Y are in two units"):
+        check_views(in_unit(views, lengths_mm))
+
+
 @pytest.mark.parametrize(("unit", "length"), UNITS[:3])
 def test_a_certificate_in_another_unit_is_named_and_refused(views, unit, length):
     with pytest.raises(
