@@ -116,11 +116,7 @@ def verify_one(
 def show_verification(verification: Verification) -> int:
     """Print what a verification found; exit status 0 without fault, 1 with one, 4 if not everything was compared."""
     lines = _valid_lines(verification) if verification.ok else _fault_lines(verification)
-    show(
-        verification.to_dict,
-        map(printable_line, lines),
-        err=not verification.ok,
-    )
+    show(verification.to_dict, map(printable_line, lines), err=not verification.ok)
     if not verification.ok:
         return 1
     return 0 if verification.complete else NOT_COMPARED
@@ -148,8 +144,7 @@ def _valid_lines(verification: Verification) -> Iterator[str]:
         simulated = " SIMULATED devices." if verification.simulated else ""
         camera = verification.camera_serial or "without number"
         yield f"{folder_kind(Path(verification.folder)).shown} {verification.run_id}, camera {camera}.{simulated}"
-    for remark in verification.remarks:
-        yield f"Note: {remark}."
+    yield from (f"Note: {remark}." for remark in verification.remarks)
     if verification.not_compared:
         yield "NOT COMPARED. Only the seal protects these parts; whoever holds its key could change them:"
         yield from (f"  {what}" for what in verification.not_compared)

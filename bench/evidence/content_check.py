@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,7 @@ from bench.evidence.findings import Findings, Verification
 from bench.evidence.folder_kinds import folder_kind, markers
 from bench.evidence.journal_check import check_journal
 from bench.record.journal import Capture
-from bench.record.run_folder import (
-    JOURNAL,
-    PLAN,
-    REPORT,
-    RESULTS,
-    SEQUENCE_COPY,
-    SOURCES,
-    STATION_COPY,
-)
+from bench.record.run_folder import JOURNAL, PLAN, REPORT, RESULTS, SEQUENCE_COPY, SOURCES, STATION_COPY
 from bench.record.storage import is_plain_file, read_bounded, read_json
 
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
@@ -65,19 +58,13 @@ def _form(findings: Findings, path: Path, *, ascii_only: bool) -> None:
         if path.name != RESULTS:  # `verify` reads it too, and tells
             findings.fault("form", path.name, f"the file cannot be read ({error})")
         return
-    try:
-        is_same = canonical_json(content, ascii_only=ascii_only) == data
-    except ValueError:  # a number that is not finite
-        is_same = False
-    if not is_same:
-        findings.fault("form", path.name, "its JSON is not written as the program writes it")
+    with suppress(ValueError):  # a number that is not finite
+        if canonical_json(content, ascii_only=ascii_only) == data:
+            return
+    findings.fault("form", path.name, "its JSON is not written as the program writes it")
 
 
-def _results(
-    folder: Path,
-    captures: Mapping[str, Capture] | None,
-    verification: Verification,
-) -> None:
+def _results(folder: Path, captures: Mapping[str, Capture] | None, verification: Verification) -> None:
     """Take run and camera from the results, and check that the journal, if there is one, names the same recordings."""
     path = folder / RESULTS
     if not is_plain_file(path):

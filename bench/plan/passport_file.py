@@ -111,16 +111,12 @@ def parse_passport(data: bytes, where: str) -> PassportFile:
 def _words_of(error: ValidationError) -> str:
     """Return in words the first fault of a passport's form."""
     fault = error.errors(include_url=False)[0]
-    place = ".".join(map(str, fault["loc"]))
-    if fault["type"] == "missing":
+    kind, place = fault["type"], ".".join(map(str, fault["loc"]))
+    if kind == "missing":
         return f"Not a passport: it has no {place}."
-    if fault["type"] == "extra_forbidden":
+    if kind == "extra_forbidden":
         return f"A passport has no key {place[:40]!r}."
-    own = (
-        fault["msg"].removeprefix("Value error, ")
-        if fault["type"] == "value_error"
-        else "no passport has that"
-    )
+    own = fault["msg"].removeprefix("Value error, ") if kind == "value_error" else "no passport has that"
     return f"Not a passport: {place} is {fault['input']!r:.40}; {own}."
 
 

@@ -266,12 +266,7 @@ class Ledger:
         return [*map(str, open_breaks), *map(str, runs)]
 
     @contextmanager
-    def _mended(
-        self,
-        strangers: Strangers = no_strangers,
-        *,
-        strict: bool = False,
-    ) -> Iterator[Journal]:
+    def _mended(self, strangers: Strangers = no_strangers, *, strict: bool = False) -> Iterator[Journal]:
         """Lock and open the ledger, and record a break as its next line. A damaged file is kept under another name."""
         with self._held():
             entries, _, recorded, damage = self.read()

@@ -249,9 +249,7 @@ def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
 
 
 def find_breaks(
-    entries: Sequence[Entry],
-    own: LedgerMark | str | None,
-    strangers: Strangers = no_strangers,
+    entries: Sequence[Entry], own: LedgerMark | str | None, strangers: Strangers = no_strangers
 ) -> BreakFindings:
     """Compare a ledger with all places that know of it; ``own`` is None without a mark, a text if it cannot be read."""
     findings = BreakFindings()

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.compiled_loops import SIMULATOR, STARS, compile_loops
-from bench.base.errors import BenchError, RunFolderError, UsageError
+from bench.base.errors import RunFolderError, UsageError
 from bench.base.home import home_folder
 from bench.base.progress import Progress
 from bench.evidence.keys import BenchKey, key_to_seal, usable_key
@@ -32,6 +32,7 @@ from bench.record.journal_line import Entry
 from bench.record.pace import pace_on
 from bench.record.recovery import WIRE_LOG, gone_captures
 from bench.record.run_folder import REPORT, RunFolder, require_resumable
+from bench.record.storage import sha256_of, storage_errors
 from bench.record.stored_run import StoredRun
 from bench.run.control import remove_inbox
 from bench.run.crash_log import archive_crash, crash_log, read_crash
@@ -83,8 +84,7 @@ def _expecting(serial: str, settings: Mapping[str, str]) -> Mapping[str, str]:
     """Return settings with the serial number that the camera must have."""
     if _SERIAL in settings:
         raise UsageError(
-            f"--expect-serial cannot be used with --set {_SERIAL}.",
-            remedy="Leave one of them out.",
+            f"--expect-serial cannot be used with --set {_SERIAL}.", remedy="Leave one of them out."
         )
     text = json.dumps(serial_number(serial), ensure_ascii=False)
     return OptionSettings({**settings, _SERIAL: text}, "--expect-serial")
@@ -173,10 +173,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
 
     Stored recordings are kept; the step at which it stopped is repeated, after the move that it depends on.
     """
-    with (
-        RunFolder.open(folder_path) as folder,
-        Journal.open(folder.journal_path, launch.clock) as journal,
-    ):
+    with RunFolder.open(folder_path) as folder, Journal.open(folder.journal_path, launch.clock) as journal:
         job, history = job_of(folder.path, journal.entries)
         crash = read_crash(folder.path)
         key = _key(launch)
@@ -218,16 +215,11 @@ def read_intentions(folder_path: Path) -> list[str]:
 def job_of(folder: Path, entries: Iterable[Entry]) -> tuple[Job, History]:
     """Return the task of a run, from the files that it was begun with, and its history."""
     history = replay(entries)
-    if not history.started:
-        raise RunFolderError(
-            "This run was interrupted before it began.", where=str(folder), remedy="Start a new run."
-        )
+    never = "" if history.started else "This run was interrupted before it began."
     if history.started.get("rehearsal"):
-        raise RunFolderError(
-            "This run is a rehearsal without devices; it cannot be resumed.",
-            where=str(folder),
-            remedy="Start a new run.",
-        )
+        never = "This run is a rehearsal without devices; it cannot be resumed."
+    if never:
+        raise RunFolderError(never, where=str(folder), remedy="Start a new run.")
     _refuse_changed(folder, history.started["sha256"])
     job = Job.from_run_folder(folder, seed=history.started["seed"], operator=history.started["operator"])
     return job, history
@@ -305,21 +297,17 @@ def seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd:
     """Seal a run that was interrupted between its last journal line and its seal."""
     journal.close()
     remove_inbox(folder.path)
-    outcome = None
-    run = StoredRun(folder.path)
-    if run.has_results:  # a sequence may end without a report
-        outcome = Outcome(run.results, folder.path / REPORT)
+    run = StoredRun(folder.path)  # without results if its sequence ends without a report
+    outcome = Outcome(run.results, folder.path / REPORT) if run.has_results else None
     seal(folder, key)
     return RunEnd("finished", "", folder.path, outcome)
 
 
 def _refuse_changed(folder: Path, hashes: Mapping[str, str]) -> None:
     for name, sha256 in hashes.items():
-        try:
-            data = (folder / name).read_bytes()
-        except OSError as error:
-            raise BenchError(f"{name} cannot be read: {error.strerror}.", where=str(folder)) from error
-        if hashlib.sha256(data).hexdigest() != sha256:
+        with storage_errors(folder / name):
+            is_same = sha256_of(folder / name) == sha256
+        if not is_same:
             raise RunFolderError(
                 f"{name} was changed after this run began.",
                 where=str(folder),
