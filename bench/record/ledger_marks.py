@@ -144,6 +144,8 @@ def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
                 runs.append(LedgerRun(number, *names, begun_utc=entry.utc, head=entry.hash))
             elif entry.event == RUN_ENDED and not data.get("lost"):
                 at = place_of[data["number"]]
+                if runs[at].seal and data["seal"] is None:
+                    continue  # a copy of a sealed run that was resumed in vain
                 end = {"folder": runs[at].folder, **data}  # an earlier version stated no folder
                 end = {name: end[name] for name in ("how", "seal", "folder")}
                 runs[at] = runs[at]._replace(ended_utc=entry.utc, verdict=read_verdict(data), **end)

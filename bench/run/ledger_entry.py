@@ -48,7 +48,7 @@ def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace |
     if known and (run := ledger.entered(known)):
         if run.seal and is_sealed(Path(run.folder)):
             raise RunFolderError(
-                "This run was continued in another folder; it is finished and sealed there.",
+                "This run is finished and sealed in another folder.",
                 where=str(folder),
                 remedy=f"A run has one end. To check it: {pasteable('verify', run.folder)}",
             )

@@ -130,7 +130,6 @@ def refused_seal(make_run, key, tmp_path):
 def test_a_stray_file_is_named_before_the_seal_and_the_way_on_is_told(refused_seal, tmp_path, name):
     message = refused_seal(lambda run: (run / name).write_text("the lamp was warm"))
     assert f"verified. {name}: " in message
-    assert "Move out what does not belong in this folder" in message
     assert f"seal it: `starbench resume {tmp_path / 'run'}`" in message
 
 
@@ -170,7 +169,6 @@ def test_a_run_whose_journal_was_cut_is_not_sealed(refused_seal, cut):
 def test_of_many_files_that_are_missing_a_screen_is_told(refused_seal):
     message = refused_seal(lambda run: [(run / f"{number}.txt").touch() for number in range(9)])
     assert "4.txt: no run folder has this file. And 4 more." in message
-    assert "5.txt" not in message
 
 
 def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path, monkeypatch):

@@ -38,7 +38,6 @@ def test_a_break_is_told_and_stands_in_the_place_and_in_the_report(ledger, tmp_p
 
 def test_a_strict_station_refuses_a_break_before_anything_is_made(ledger, tmp_path):
     task = job(strict=True)
-    refuse_broken_ledger(ledger, task)
     run(ledger, tmp_path / "a", task)
     refuse_broken_ledger(ledger, task)
     ledger.path.unlink()
@@ -71,6 +70,9 @@ def test_a_run_that_a_copy_of_its_folder_has_ended_is_not_resumed(ledger, tmp_pa
     assert ledger.faults() == []
     with pytest.raises(RunFolderError, match=f"starbench verify {copy}"):
         enter_in_ledger(ledger, job(), tmp_path / "a", place)
+    (copy / "SHA256SUMS.sig").unlink()
+    run(ledger, tmp_path / "a", job(), place)
+    assert ledger.runs()[0].folder == str(copy)
 
 
 def test_a_resumed_run_tells_of_a_break_too(ledger, tmp_path):
