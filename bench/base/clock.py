@@ -66,9 +66,8 @@ class BenchClock:
     def monotonic(self) -> float:
         """Return the time of the system's monotonic clock, s."""
         now_s = time.monotonic()
-        if (
-            threading.get_ident() == self._worker
-        ):  # other threads watch the work; their calls are no sign of life
+        # Other threads watch the work; their calls are no sign of life
+        if threading.get_ident() == self._worker:
             self._asked_s = now_s
         return now_s
 
@@ -278,9 +277,8 @@ def reliable_interrupts() -> Iterator[None]:
     main = threading.get_ident()
 
     def resend(lost: sys.UnraisableHookArgs) -> None:
-        if issubclass(
-            lost.exc_type, KeyboardInterrupt
-        ):  # sent later: within this hook it would be lost again
+        # Sent later: within this hook it would be lost again
+        if issubclass(lost.exc_type, KeyboardInterrupt):
             timers.append(threading.Timer(_RESEND_AFTER_S, signal.pthread_kill, (main, sent_again)))
             timers[-1].start()
         else:

@@ -398,9 +398,8 @@ class BatchRecord:
 
     def _begin_run(self, data: ItemBegun, now: datetime, mono_s: float) -> None:
         run, recorded = self.runs[data["item"]], data.get("recorded", 0)
-        if (
-            self.current_run == data["item"]
-        ):  # its last attempt has no end: the batch's own process was cut off, too
+        # Its last attempt has no end: the batch's own process was cut off, too
+        if self.current_run == data["item"]:
             run.cuts += 1
         if recorded > run.recorded:
             run.failures = run.cuts = 0

@@ -81,9 +81,8 @@ class CameraForm(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     kind: ClassVar[str]  # What the file is, in words; {} is its syntax
     harmless: ClassVar[tuple[str, ...]] = ()
-    lenses: ClassVar[Mapping[Any, Lens | None]] = {
-        None: None
-    }  # By the model; None: it does not state the lens
+    # By the model; None: it does not state the lens
+    lenses: ClassVar[Mapping[Any, Lens | None]] = {None: None}
     matrix: Numbers  # 3 x 3, row after row, or fx fy cx cy
     coefficients: Numbers
     size: Numbers | None = _named("imagesize", "imagersize", "resolution", "cameraresolution", default=None)

@@ -67,9 +67,8 @@ def show(
         print_json(data() if callable(data) else data)
         return
     lines = (text,) if isinstance(text, str) else text
-    click.echo(
-        "".join(f"{line}\n" for line in lines), nl=False, err=err
-    )  # each call of echo is a call of the system
+    # Each call of echo is a call of the system
+    click.echo("".join(f"{line}\n" for line in lines), nl=False, err=err)
 
 
 def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:

@@ -77,9 +77,8 @@ class Event(StrEnum):
     ATTEMPT_LOST = "attempt_lost"  # The camera could not complete a recording; nothing was stored
     SOLVED = "solved"  # A calibration stands: its main numbers
     WRITTEN = "written"  # Hashes of results, report, views and exports, which are written now
-    UNTIL_DECIDED = (
-        "until_decided"  # What an ``until`` found so far, and the next pose that it chose, or why it ended
-    )
+    # What an ``until`` found so far, and the next pose that it chose, or why it ended
+    UNTIL_DECIDED = "until_decided"
     RECOVERED = "recovered"  # What a crash had left of the run folder
     ASKED = "asked"  # The run asks the operator a question
     ANSWERED = "answered"  # The operator's answer, or the default
@@ -127,9 +126,8 @@ class RunStarted(TypedDict):
     plugins: NotRequired[Mapping[str, Sequence[str]]]
     ledger: NotRequired[LedgerPlace]
     rehearsal: NotRequired[bool]
-    pace: NotRequired[
-        float
-    ]  # Of the bench's earlier runs (`bench.record.pace`); left out if they took no longer
+    # Of the bench's earlier runs (`bench.record.pace`); left out if they took no longer
+    pace: NotRequired[float]
 
 
 class RunResumed(TypedDict):

@@ -174,9 +174,8 @@ class History:
         """Count the time since the previous journal line for the step at work."""
         if entry.event == Event.RUN_RESUMED:  # another process, whose clock begins anew
             self._at_step = None
-        elif (
-            self._at_step is not None and entry.event != CLOCK_JUMPED
-        ):  # it may be the first line of that process
+        elif self._at_step is not None and entry.event != CLOCK_JUMPED:
+            # A jump may be the first line of that process.
             passed_s = entry.mono_s - self._last_mono_s
             self.worked_s[self._at_step] = self.worked_s.get(self._at_step, 0.0) + passed_s
         self._last_mono_s = entry.mono_s

@@ -108,9 +108,8 @@ class Journal:
     def _clock_jump_s(self, now: datetime, mono_s: float) -> float:
         """Return by how much the system time has moved against the monotonic clock since the last line, s."""
         offset_s = now.timestamp() - mono_s
-        if (
-            self._clock_offset_s is None
-        ):  # first line of this process: only a step backwards can be recognised
+        # First line of this process: only a step backwards can be recognised
+        if self._clock_offset_s is None:
             last = datetime.fromisoformat(self._entries[-1].utc) if self._entries else now
             jump_s = min(0.0, (now - last).total_seconds())
         else:

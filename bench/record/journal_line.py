@@ -28,9 +28,8 @@ OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
 _own_values = itemgetter(*OWN_KEYS)
 
 
-class Entry(
-    NamedTuple
-):  # made several times as fast as a frozen dataclass: lists of runs read a million lines
+# Made several times as fast as a frozen dataclass: lists of runs read a million lines
+class Entry(NamedTuple):
     """One line of a journal."""
 
     seq: int  # Number of the line, from 0

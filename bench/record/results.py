@@ -362,9 +362,8 @@ class ParallaxData(TypedDict, total=False):
     without_rim: Sequence[str]
     station_entry: str
     stated_mm: Numbers | None  # Of the station file
-    defocus: (
-        Mapping[str, Any] | None
-    )  # ``value``, ``sigma``, ``source``; None, as the rest, if none is stated
+    # ``value``, ``sigma``, ``source``; None, as the rest, if none is stated
+    defocus: Mapping[str, Any] | None
     parallax: Numbers | None
     fx_px: Numbers | None
     says: Sequence[str]

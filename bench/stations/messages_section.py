@@ -68,9 +68,8 @@ class MessagesConfig(StrictModel):
     occasions: tuple[Occasion, ...] = ("failure", "hold", "end")
     mail: MailConfig | None = None
     apprise: Annotated[tuple[AppriseConfig, ...], Field(max_length=20)] = ()
-    webhooks: SkipJsonSchema[Any] = (
-        None  # In copies of runs that have begun; `find_webhooks` refuses it elsewhere
-    )
+    # In copies of runs that have begun; `find_webhooks` refuses it elsewhere
+    webhooks: SkipJsonSchema[Any] = None
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -44,9 +44,8 @@ Serial = Annotated[
         min_length=1,
         max_length=64,
         description="As the device reports it, with all zeros.",
-        json_schema_extra={
-            "type": ["string", "integer"]
-        },  # an editor may read it as a number; Starbench reads it as text
+        # An editor may read it as a number; Starbench reads it as text
+        json_schema_extra={"type": ["string", "integer"]},
     ),
 ]
 

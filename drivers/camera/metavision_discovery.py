@@ -112,9 +112,8 @@ def _look() -> tuple[tuple[FoundCamera, ...], bool]:
         for seen in listed
     ]
     on_usb = connected_cameras()
-    missing = on_usb is None or len(on_usb) > len(
-        cameras
-    )  # an old one may have been unplugged since it was refused
+    # An old one may have been unplugged since it was refused
+    missing = on_usb is None or len(on_usb) > len(cameras)
     refused = sorted(refused_firmware - {camera.serial for camera in cameras}) if missing else []
     trouble = f"its firmware is older than {OLDEST_FIRMWARE}. {_UPDATE}."
     cameras += [FoundCamera("metavision", serial, "Prophesee", trouble) for serial in refused]

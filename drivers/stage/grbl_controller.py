@@ -114,9 +114,8 @@ class GrblController(Link):
         if self.restarts == restarts and self.needs_reset:
             raise self._alarmed("does not take a reset")
         if self.restarts == restarts:
-            self.write(
-                b"\n"
-            )  # which a mute board does not answer, but another firmware, or one at another rate
+            # Which a mute board does not answer, but another firmware, or one at another rate
+            self.write(b"\n")
             self.receive(self.reply_s)
             if heard := self.drain():
                 raise self.garbled_reply(

@@ -257,9 +257,8 @@ def is_greeting(line: bytes) -> bool:
     >>> is_greeting(b"<Idle|MPos:0.0GrblHAL 1.1f ['$' or '$HELP' for help]\r\n"), is_greeting(b"[FIRMWARE:grblHAL]\r\n")
     (True, False)
     """
-    if line.startswith((b"$", b"[")) or _REPORT.fullmatch(
-        line
-    ):  # names of hosts and files may hold the same words
+    # Names of hosts and files may hold the same words
+    if line.startswith((b"$", b"[")) or _REPORT.fullmatch(line):
         return _MESSAGE_AT_START.match(line) is not None
     return _GREETING.search(line) is not None
 

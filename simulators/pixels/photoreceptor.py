@@ -31,9 +31,8 @@ from simulators.pixels.drive import ATLAS_LEVELS, BENT, LEAST, SMOOTH, SQUARE, D
 from simulators.pixels.fast_math import INNER, INNER_KERNEL, exp32, log32
 
 # Rows of a batch.
-LIGHT: Final = (
-    0  # from stored_light; square: share of the drive that reaches the pixel; smooth: level on the atlas
-)
+# From stored_light; square: share of the drive that reaches the pixel; smooth: level on the atlas
+LIGHT: Final = 0
 U_RISE: Final = 1  # square: u at the rising edge; smooth: level on the atlas, -1 = too dark ever to fire
 U_FALL: Final = 2  # square: u at the falling edge
 ON_AT: Final = 3  # an ON event comes when u has fallen to this

@@ -168,9 +168,8 @@ class OpticsTruth(Section):
     gradient_y: Number = -0.05  # The same along the target's y
     black: NotNegative = 0.01  # Light that passes the reticle's black segments, as a share of the white ones'
     stray: NotNegative = 0.0
-    room: NotNegative = (
-        0.0  # Light of the room on the whole sensor, which does not flicker, nominal brightness = 1
-    )
+    # Light of the room on the whole sensor, which does not flicker, nominal brightness = 1
+    room: NotNegative = 0.0
     # Rotation vector of the camera on the gimbal at zero angles (R0 of the pose), degrees.
     mounting_deg: Vector = (0.31, -0.22, 0.45)
 
@@ -179,9 +178,8 @@ class OpticsTruth(Section):
 class NoiseTruth(Section):
     """Fixed pattern and temporal noise of the pixels; what causes them: Hu, Liu and Delbruck (2021), v2e."""
 
-    mismatch: NotNegative = (
-        0.12  # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)
-    )
+    # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)
+    mismatch: NotNegative = 0.12
     background_hz: NotNegative = 1.0  # Mean rate of background events of a pixel
     hot_share: NotNegative = 2e-5  # Share of pixels that are hot
     hot_hz: NotNegative = 2000.0  # Rate of the events of a hot pixel

@@ -65,9 +65,8 @@ Text = Annotated[
     Field(
         min_length=1,
         max_length=300,
-        json_schema_extra={
-            "type": ["string", "number"]
-        },  # an editor may read 38116 as a number; Starbench reads it as text
+        # An editor may read 38116 as a number; Starbench reads it as text
+        json_schema_extra={"type": ["string", "number"]},
     ),
     AfterValidator(_plain),
 ]

@@ -202,9 +202,8 @@ class DaskWorkers(Workers):
         """See `Workers.submit`."""
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore", UserWarning
-                )  # about arguments of some megabytes: the stars of a run
+                # About arguments of some megabytes: the stars of a run
+                warnings.simplefilter("ignore", UserWarning)
                 self._busy[self._executor.submit(do, work)] = work
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             raise self._lost() from error

@@ -56,9 +56,8 @@ class LiveFigures:
     # Id, column and row, px, of each star found; id -1 if it is not known which star it is.
     stars: Sequence[tuple[int, float, float]] = ()
     other_tag: str = ""  # What is wrong with the tags seen; empty if nothing is
-    tag_corners_px: Corners | None = (
-        None  # Corners of the target's tag, px, in the order of the print; None without it
-    )
+    # Corners of the target's tag, px, in the order of the print; None without it
+    tag_corners_px: Corners | None = None
     square: DarkSquare | None = None  # A dark square that looks like the tag, if the tag was not read
     disc_centre_px: tuple[float, float] | None = None  # Of the beam's disc in the image (column, row)
     disc_radius_px: float | None = None  # Of the same disc
