@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 
 from bench.base.errors import BenchError, UsageError
@@ -132,31 +133,16 @@ def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
     An earlier version divided U of a result without a posterior into another u and k.
     """
     of_posterior = all(result.nu_eff is None for result in derived.results)
-    names = (*_IN_EVERY_VERSION, "covariance") if of_posterior else _IN_EVERY_VERSION
-    if any(getattr(stated, name) != getattr(derived, name) for name in names):
-        return False
-    numbers_of = [
-        [
-            (
-                result.symbol,
-                result.unit,
-                result.value,
-                result.U,
-                *((result.u, result.k) if of_posterior else ()),
-            )
-            for result in each.results
-        ]
-        for each in (stated, derived)
-    ]
-    verdicts = [
-        [
-            (statement.symbol, statement.lower, statement.upper, statement.guard_band, statement.verdict)
-            for statement in each.conformity
-        ]
-        for each in (stated, derived)
-    ]
-    # An earlier version left the limits of the run out if the laboratory stated some.
-    return numbers_of[0] == numbers_of[1] and all(verdict in verdicts[1] for verdict in verdicts[0])
+    fields = attrgetter(*_IN_EVERY_VERSION, *(["covariance"] if of_posterior else []))
+    numbers_of = attrgetter("symbol", "unit", "value", "U", *(["u", "k"] if of_posterior else []))
+    verdict_of = attrgetter("symbol", "lower", "upper", "guard_band", "verdict")
+    verdicts = [verdict_of(statement) for statement in derived.conformity]
+    return (
+        fields(stated) == fields(derived)
+        and [*map(numbers_of, stated.results)] == [*map(numbers_of, derived.results)]
+        # An earlier version left the limits of the run out if the laboratory stated some.
+        and all(verdict_of(statement) in verdicts for statement in stated.conformity)
+    )
 
 
 def _compare_documents(
