@@ -111,14 +111,11 @@ class EspController(Controller):
         clock: Callable[[], float],
         publish: Callable[[int, LoadTrajectory], None] = lambda _number, _pointing: None,
     ) -> None:
-        moved = {
-            n: Axis(model.mechanics, clock(), partial(publish, n)) for n, model in enumerate(models, start=1)
-        }
-        super().__init__(moved.values(), clock)
         self.axes = {
-            number: EspAxis(self, moved[number], number, model)
+            number: EspAxis(self, Axis(model.mechanics, clock(), partial(publish, number)), number, model)
             for number, model in enumerate(models, start=1)
         }
+        super().__init__((axis.axis for axis in self.axes.values()), clock)
         self._stop_pressed = False
         self._power_up()
         self._axis_commands = self._known_axis_commands()

@@ -105,13 +105,12 @@ class PtuController(Controller):
         clock: Callable[[], float],
         publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
     ) -> None:
-        moved = {
-            letter: Axis(axis_model.mechanics, clock(), partial(publish, letter))
-            for letter, axis_model in models.items()
+        self.axes = {
+            letter: PtuAxis(self, Axis(model.mechanics, clock(), partial(publish, letter)), letter, model)
+            for letter, model in models.items()
         }
-        super().__init__(moved.values(), clock)
+        super().__init__((axis.axis for axis in self.axes.values()), clock)
         self.serial = serial
-        self.axes = {letter: PtuAxis(self, moved[letter], letter, model) for letter, model in models.items()}
         self.before_reset = False
         self._power_up()
         self._banner = b""
