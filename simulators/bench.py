@@ -19,7 +19,6 @@ import json
 import math
 import mmap
 import os
-import signal
 import struct
 import sys
 import threading
@@ -41,11 +40,11 @@ from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
 from simulators.faults.catalogue import (
     FaultOrder,
-    allow_background,
     fault_order,
     fault_order_from_text,
     print_answer,
     take_orders,
+    told_to_stop,
 )
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
@@ -244,10 +243,7 @@ def _execute(bench: Bench, line: str) -> dict[str, Any]:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the bench until it is told to stop; return 0, or 2 if it cannot start: standard error has the reason."""
     arguments = _arguments(words)
-    ending = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda _number, _frame: ending.set())
-    allow_background()
+    ending = told_to_stop()
     gc.set_threshold(_NEW_OBJECTS)
     try:
         arguments.folder.mkdir(parents=True, exist_ok=True)

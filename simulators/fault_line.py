@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 import threading
 import time
@@ -23,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from simulators.errors import SimulatorError
-from simulators.faults.catalogue import allow_background, fault_order_from_text, print_answer, take_orders
+from simulators.faults.catalogue import fault_order_from_text, print_answer, take_orders, told_to_stop
 from simulators.faults.fault_injection import line_fault_action
 from simulators.faults.line_faults import FaultLine, SerialBridge
 from simulators.ports.pseudo_terminal import PseudoTerminal
@@ -40,10 +39,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--link", type=Path, required=True, help="path of the second port")
     parser.add_argument("--seed", type=int, default=1, help="seed of random faults")
     arguments = parser.parse_args(words)
-    ending = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda _number, _frame: ending.set())
-    allow_background()
+    ending = told_to_stop()
     try:
         bridge = SerialBridge(arguments.port, arguments.baud)
         line = FaultLine(bridge, time.monotonic, np.random.default_rng(arguments.seed))

@@ -14,6 +14,7 @@ import os
 import shlex
 import signal
 import sys
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -219,10 +220,17 @@ def print_answer(content: Mapping[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def allow_background() -> None:
-    """Let a process run on in the background of a terminal, which stops it when it reads. Call this before reading."""
+def told_to_stop() -> threading.Event:
+    """Return what is set when the process is told to stop. Call this before orders are read.
+
+    The process may run on in the background of a terminal, which otherwise stops it when it reads.
+    """
+    ending = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _number, _frame: ending.set())
     if hasattr(signal, "SIGTTIN"):
         signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    return ending
 
 
 def take_orders(carry_out: Callable[[str], Mapping[str, Any]], ended: Callable[[], None]) -> None:
