@@ -26,7 +26,8 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESID
         return
     import tempfile
 
-    folder = Path(tempfile.gettempdir()) / f"starbench-kernels-{_user_name()}"
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    folder = Path(tempfile.gettempdir()) / f"starbench-kernels-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
     status = folder.lstat()
     private = not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
@@ -72,7 +73,3 @@ def _may_write(folder: Path) -> bool:
     """Return whether files can be made in a folder, or the folder itself if it does not exist yet."""
     existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
     return existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
-
-
-def _user_name() -> str:
-    return str(os.getuid()) if hasattr(os, "getuid") else "user"

@@ -101,7 +101,7 @@ def _plan_dict(
             **pose.angles_deg,
             "worst_px": pose.after.worst_px,
             "rim_share": round(pose.rim_share, 3),
-            "why": _why(pose),
+            "why": f"largest uncertainty on the sensor {number(pose.after.worst_px, 2)} px, 1 sigma",
         }
         for pose in suggested
     ]
@@ -204,11 +204,6 @@ def _suggestion_text(pose: WeighedPose, before: Forecast | None, forecast: Forec
             parts.append(f"{name} {number(forecast.limited[quantity], 2)} px{instead}")
         parts[-1] += f" (k = {forecast.coverage_factor:.3g})"
     return f"Suggested: {{{angles}}}: {', '.join(parts)}"
-
-
-def _why(pose: WeighedPose) -> str:
-    """Return why a pose is suggested, for programs."""
-    return f"largest uncertainty on the sensor {number(pose.after.worst_px, 2)} px, 1 sigma"
 
 
 def _show_night(queue: Path, begin: datetime | None) -> int:

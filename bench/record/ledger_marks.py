@@ -42,10 +42,6 @@ class LedgerMark:
     utc: str  # Time of the last line, ISO 8601
     counts: Mapping[str, int] = field(default_factory=dict, hash=False)  # The highest of each series
 
-    def to_line(self) -> bytes:
-        """Return the mark as one line of JSON."""
-        return (json.dumps(self.to_dict(), separators=(",", ":")) + "\n").encode()
-
     def to_dict(self) -> dict[str, Any]:
         """Return the mark as JSON carries it: all attributes; ``counts`` is left out if it is empty."""
         return {name: value for name, value in vars(self).items() if name != "counts" or value}
@@ -62,7 +58,7 @@ class LedgerMark:
 
 
 def parse_mark(line: bytes) -> LedgerMark:
-    """Read one mark, a line of `LedgerMark.to_line`; ValueError if it is none."""
+    """Read one mark, a line of ``ledger_high``; ValueError if it is none."""
     from pydantic import TypeAdapter  # most commands read no mark
 
     parse_json(line)  # bounded, and read alike by all readers
@@ -90,8 +86,8 @@ def read_own_mark(home: Path) -> LedgerMark | None:
 
 
 def write_own_mark(home: Path, mark: LedgerMark) -> None:
-    """Write ``ledger_high``."""
-    write_atomic(home / MARK, mark.to_line())
+    """Write ``ledger_high``, one line of JSON."""
+    write_atomic(home / MARK, (json.dumps(mark.to_dict(), separators=(",", ":")) + "\n").encode())
 
 
 class LedgerRun(NamedTuple):

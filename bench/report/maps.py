@@ -102,7 +102,7 @@ def sensor_map(
     ``grid_px`` is (h, w, 2), ``values`` (h, w), NaN where unknown; ``stars`` (N, 2) px, to shade what they leave out,
     or None.
     """
-    x, y, shown = grid_px[0, :, 0], grid_px[:, 0, 1], _to_digits(values, 6)
+    x, y, shown = grid_px[0, :, 0], grid_px[:, 0, 1], _to_six_digits(values)
     size = (int(x.max()) + 1, int(y.max()) + 1)
     lowest, worst, middle = (float(f(shown)) for f in (np.nanmin, np.nanmax, np.nanmedian))
     levels = round_levels(lowest, worst)
@@ -199,7 +199,7 @@ def _arrows(axes: Axes, difference: CameraDifference) -> None:
     """Draw how the image points of the first camera are shifted in the second; the longest arrow is one mesh."""
     every = (slice(_MESH // 2, None, _MESH), slice(_MESH // 2, None, _MESH))
     begins = difference.grid_px[every].reshape(-1, 2)
-    offsets = _to_digits(difference.offset_px[every], 6).reshape(-1, 2)
+    offsets = _to_six_digits(difference.offset_px[every]).reshape(-1, 2)
     seen = np.isfinite(offsets).all(axis=1)
     begins, offsets = begins[seen], offsets[seen]
     mesh_px = _MESH * float(difference.grid_px[0, 1, 0])
@@ -208,9 +208,9 @@ def _arrows(axes: Axes, difference: CameraDifference) -> None:
     axes.strokes(begins, begins + mesh_px / longest * offsets, POSE_COLOURS[1], 1.0)
 
 
-def _to_digits(values: Array, digits: int) -> Array:
+def _to_six_digits(values: Array) -> Array:
     """Round an array relative to its largest value, because its last bits differ between processes."""
-    unit = 10.0 ** (np.ceil(np.log10(max(float(np.nanmax(np.abs(values))), 1e-30))) - digits)
+    unit = 10.0 ** (np.ceil(np.log10(max(float(np.nanmax(np.abs(values))), 1e-30))) - 6)
     return np.asarray(np.round(values / unit) * unit)
 
 

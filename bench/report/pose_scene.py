@@ -104,14 +104,8 @@ def _name(picture: Picture, place: Array, text: str) -> None:
 
 def outline_on_target(camera: CameraModel, image_size: Sequence[int], view: ViewData) -> Array:
     """Return the outline of the image of a pose on the target, mm, in order; points beyond it are left out."""
-    return _on_target(
-        camera.rays(_outline(image_size)), np.array(view["rotation"]), np.array(view["centre_mm"])
-    )
-
-
-def _on_target(rays: Array, rotation: Array, centre: Array) -> Array:
-    """Return where rays of an image meet the target, mm; rays that do not meet it are left out."""
-    directions = rays @ rotation
+    rotation, centre = np.array(view["rotation"]), np.array(view["centre_mm"])
+    directions = camera.rays(_outline(image_size)) @ rotation
     ahead = np.isfinite(directions).all(axis=1) & (directions[:, 2] > 1e-6)
     met = centre[:2] - directions[ahead, :2] * (centre[2] / directions[ahead, 2:])
     return np.asarray(np.round(met, 4))

@@ -126,7 +126,7 @@ class TextLight(WatchedLight):
         asked = setting.constant if setting.quantity == "constant" else value
         sent: Value = setting.words[str(asked)] if setting.words else asked
         if not isinstance(sent, str):
-            sent = self._to_device(setting, sent)
+            sent = setting.factor * (1.0 / sent if setting.inverse else sent)
         try:
             self._line.query(setting.set, {"value": sent})
         except DeviceRefused as error:
@@ -145,9 +145,6 @@ class TextLight(WatchedLight):
                 where=self._line.name,
                 remedy="Ask for values within the controller's range and resolution.",
             )
-
-    def _to_device(self, setting: LightSetting, value: float) -> float:
-        return setting.factor * (1.0 / value if setting.inverse else value)
 
     def _from_device(self, quantity: LightQuantity, fallback: float) -> float:
         """Read a number; a light without that setting has a fixed one."""

@@ -92,11 +92,6 @@ class Expanded:
         return self.k * self.u
 
 
-def row_names(calibration: CalibrationData) -> list[str]:
-    """Return the names of the rows, to which certificates can be assigned."""
-    return [row.name for row in calibration["budget_rows"]]
-
-
 def expanded(calibration: CalibrationData, symbol: str) -> Expanded:
     """Return a result's uncertainty: with the k of its posterior, or the common one of a method of reference."""
     sigma = float(calibration["sigma"][symbol])

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from operator import attrgetter
 
-from bench.extras.certificate.budget_rows import row_names
 from bench.extras.certificate.facts_of_run import is_unnamed
 from bench.extras.certificate.lab_config import LabConfig, PreviousConfig
 from bench.record.results import Results
@@ -207,7 +206,7 @@ def _dates(lab: LabConfig, results: Results) -> Iterator[tuple[DocumentPath, str
 
 
 def _sources(lab: LabConfig, results: Results) -> Iterator[tuple[DocumentPath, str]]:
-    names, seen = row_names(results["calibration"]), set()
+    names, seen = [row.name for row in results["calibration"]["budget_rows"]], set()
     in_run = results.get("passport")
     for at, source in enumerate(lab.sources):
         if source.row is None:

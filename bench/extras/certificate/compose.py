@@ -101,11 +101,6 @@ RULE = (
 Part = TypeVar("Part")
 
 
-def further_statement(reason: str) -> str:
-    """Return the statement of a further certificate of a run; empty for the first one, which has no reason."""
-    return f"{FURTHER}{reason}" if reason else ""
-
-
 def statements_of(results: Results, lab: LabConfig, identity: Identity) -> tuple[Statement, ...]:
     """Return the fixed texts in printed order."""
     calibration = results["calibration"]
@@ -174,7 +169,7 @@ class Identity:
     issued_utc: str
     run: Run
     amends: Amends | None = None  # The certificate that this one replaces, if any
-    also: str = ""  # `further_statement` of a second certificate of the run; empty if it is the first one
+    also: str = ""  # `FURTHER` and why the run has a second certificate; empty if it is the first one
     despite: str = ""  # Why it states a pass over a FAIL of the run; empty if it does not
     verified: str = ""  # What was verified before the issue, in words
     verdicts: str = ""  # How the runs of the camera were judged (`bench.extras.certificate.verdicts`)

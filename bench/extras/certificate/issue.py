@@ -27,7 +27,7 @@ from bench.extras.certificate.certificate_folder import (
     write_sealed,
 )
 from bench.extras.certificate.clauses import faults_of_lab
-from bench.extras.certificate.compose import Identity, compose, further_statement
+from bench.extras.certificate.compose import FURTHER, Identity, compose
 from bench.extras.certificate.lab_config import LabConfig
 from bench.extras.certificate.limits import needed_reason
 from bench.extras.certificate.sealed_run import Source, Verify, read_sealed_run
@@ -101,7 +101,7 @@ def issue(
         lab,
         folder,
         laboratory,
-        further=further_statement(also),
+        further=f"{FURTHER}{also}" if also else "",
         despite=despite,
     )
 
