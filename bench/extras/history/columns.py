@@ -172,16 +172,12 @@ def json_schema() -> dict[str, object]:
     }
 
 
-_COPIED = frozenset(column.name for column in COLUMNS)
-
-
 def table_row(run: IndexedRun, details: RunDetails, place: RunPlace, state: ShownState) -> Row:
     """Return the row of a run by column, in the order of `table_schema.COLUMNS`; None where nothing is known."""
-    row: dict[str, object] = dict.fromkeys(column.name for column in COLUMNS)
-    stated = {**vars(run), **details}
-    row |= {name: value for name, value in stated.items() if name in _COPIED}
     software = details["software"]
-    row |= {
+    known = {
+        **vars(run),
+        **details,
         "schema": SCHEMA,
         "run": run.id,
         "kind": run.kind,
@@ -198,7 +194,7 @@ def table_row(run: IndexedRun, details: RunDetails, place: RunPlace, state: Show
         "software": json.dumps(software, sort_keys=True) if software else None,
         **_parameters(run),
     }
-    return {column.name: _fitted(row[column.name], column.kind) for column in COLUMNS}
+    return {column.name: _fitted(known.get(column.name), column.kind) for column in COLUMNS}
 
 
 def _parameters(run: IndexedRun) -> Row:
