@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from sequences.errors import DocumentFaults
 from sequences.kinds import kind_of_format
-from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
+from sequences.tree import DocumentPath, Fault, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, parse
 
@@ -141,18 +141,14 @@ class Located(Generic[Model_co]):
             return Path(name)
         return self.folder / name
 
-    def position(self, path: DocumentPath) -> Spot:
-        """Return where the value at a path begins, or the nearest value around it if the document has no such path."""
-        return self.tree.spot(path)
-
     def where(self, path: DocumentPath) -> str:
         """Return where the value at a path begins, as `position`, as ``file:line:column``."""
-        spot = self.position(path)
+        spot = self.tree.spot(path)
         return f"{self.file}:{spot.line}:{spot.column}"
 
     def fault(self, path: DocumentPath, message: str) -> Fault:
         """Return a fault of the value at a path, as `position` takes it."""
-        spot = self.position(path)
+        spot = self.tree.spot(path)
         return Fault(self.file, spot.line, spot.column, path_text(path), message)
 
 

@@ -72,10 +72,7 @@ def _document(path: Path, model: type[Document]) -> Located[Document]:
 
 def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
     """Replace file names of a job, also of passports in settings, by full paths: beside the queue, else in the cwd."""
-    names: dict[str, Any] = {}
-    for key in ("sequence", "station"):
-        if existing := _beside(base, getattr(job, key)):
-            names[key] = existing
+    names = {key: file for key in ("sequence", "station") if (file := _beside(base, getattr(job, key)))}
     passports = {path: text for path, text in job.settings.items() if path.endswith(".passport")}
     found_passports = {
         path: json.dumps(file) for path, text in passports.items() if (file := _beside(base, text))

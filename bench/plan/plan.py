@@ -280,7 +280,7 @@ class Plan:
         described: dict[str, Any] = {
             "number": step.number,
             "what": step.word,
-            "line": self.sequence.position(step.path).line,
+            "line": self.sequence.tree.spot(step.path).line,
             "duration_s": round(planned.duration_s, 3),
             "done_after_s": round(planned.done_after_s, 3),
         }

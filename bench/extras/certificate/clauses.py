@@ -142,7 +142,7 @@ def faults_of_lab(lab: Located[LabConfig], results: Results, sequence_sha256: st
         what = f"the run used another sequence.yaml: SHA-256 {sequence_sha256 or 'not known'}."
         faults.append(lab.fault(("method", "sequence_sha256"), what))
     for clause, key in unanswered(lab.value, results):
-        spot = lab.position(tuple(key.split(".")[:-1]))
+        spot = lab.tree.spot(tuple(key.split(".")[:-1]))
         faults.append(Fault(lab.file, spot.line, spot.column, key, clause.message(key)))
     return faults
 

@@ -41,7 +41,7 @@ def test_a_document_keeps_its_bytes_and_its_places():
     document = check_document(data, "t.yaml", Table)
     assert document.value.light == Laser(kind="laser", serial="00051234", on=True)
     assert document.text == data
-    assert document.position(("light", "serial")) == (4, 11)
+    assert document.tree.spot(("light", "serial")) == (4, 11)
     assert document.where(("light", "serial")) == "t.yaml:4:11"
     assert str(document.fault(("light", "on"), "no.")) == "t.yaml:5:7: light.on: no."
 
