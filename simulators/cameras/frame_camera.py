@@ -57,7 +57,7 @@ class PictureMaker:
         """Expose one picture, beginning now: ``(height, width) uint8`` grey values."""
         begin_s = self._world.now_s()
         light = self._world.light(begin_s)
-        electrons = FULL_LIGHT_ELECTRONS * mean_brightness(light, begin_s, EXPOSURE_S) * self._scene(begin_s)
+        electrons = FULL_LIGHT_ELECTRONS * mean_brightness(light, begin_s) * self._scene(begin_s)
         electrons = electrons * self._sensitivity + DARK_ELECTRONS
         electrons = electrons + np.sqrt(electrons) * rng.standard_normal(electrons.shape, np.float32)
         electrons += READ_NOISE_ELECTRONS * rng.standard_normal(electrons.shape, np.float32)
@@ -74,11 +74,11 @@ class PictureMaker:
         return self._scene_cache[1]
 
 
-def mean_brightness(light: LightState, begin_s: float, exposure_s: float) -> float:
+def mean_brightness(light: LightState, begin_s: float) -> float:
     """Return the mean brightness of the light over an exposure, by the midpoint rule."""
     if not light.output:
         return 0.0
-    instants = begin_s + (np.arange(LIGHT_SAMPLES) + 0.5) / LIGHT_SAMPLES * exposure_s
+    instants = begin_s + (np.arange(LIGHT_SAMPLES) + 0.5) / LIGHT_SAMPLES * EXPOSURE_S
     phases = np.array([light.phase_at(float(t)) for t in instants])
     if light.waveform == "sine":
         shares = 0.5 + 0.5 * np.sin(2.0 * np.pi * phases)

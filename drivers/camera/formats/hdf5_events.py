@@ -177,9 +177,9 @@ def _length(array: Any, path: str) -> int:
     return int(array.size)
 
 
-def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:
+def _column(table: NDArray[Any], name: str) -> NDArray[Any]:
     if name not in (table.dtype.names or ()):
-        raise UnreadableEvents(f"the table of {of} has no column {name}.")
+        raise UnreadableEvents(f"the table of edges has no column {name}.")
     column: NDArray[Any] = table[name]
     return column
 
@@ -200,7 +200,7 @@ def _triggers(file: Any) -> Triggers:
             return empty_triggers(0)
         table = _edges(file, "EXT_TRIGGER/events")
         names = {"t": "t", "value": "p", "id": "id"}
-        return as_triggers({name: _column(table, own, "edges") for name, own in names.items()})
+        return as_triggers({name: _column(table, own) for name, own in names.items()})
     if has_member(file, "triggers") and set(Triggers._fields) <= set(member(file, "triggers")):
         return as_triggers({name: _edges(file, f"triggers/{name}") for name in Triggers._fields})
     return empty_triggers(0)

@@ -25,7 +25,7 @@ from bench.extras.pages.panel.folder_list import FolderList
 from bench.extras.pages.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view
 from bench.extras.pages.panel.list_changes import ListChanges
 from bench.extras.pages.panel.shown_run import LogLine
-from bench.extras.pages.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
+from bench.extras.pages.panel.watching import Extras, Helper, RunWatch, Watcher
 from bench.extras.pages.web.guard import POLICY, known_by
 from bench.extras.pages.web.pages import page_app, read_object, whole_number
 from bench.extras.pages.web.server_sent import EventStream, Message, last_id
@@ -200,7 +200,7 @@ class Panel:
 
         def older() -> list[LogLine]:
             with self._watcher.watched(folder) as watch, watch.lock:
-                return watch.model.log_before(before, MOST_LOG_LINES)
+                return watch.model.log_before(before)
 
         return JSONResponse({"log": await run_in_threadpool(older)})
 

@@ -31,6 +31,7 @@ from bench.run.time_left import TimeLeft
 
 _NOT_SHOWN = frozenset({Event.LEFT_OFF, Event.STEP_DONE})
 """Half of the lines of a journal, which change nothing that the page shows."""
+_MOST_LOG_LINES = 300  # Of one answer; older ones come on request
 
 
 class RunModel:
@@ -95,15 +96,15 @@ class RunModel:
         for number in reversed(self._changed):
             yield self.rows[number]
 
-    def log_after(self, after: int, most: int) -> list[LogLine]:
+    def log_after(self, after: int) -> list[LogLine]:
         """Return the newest lines of the log after a line of the journal; newest last."""
         begin = bisect_right(self.log, after, key=itemgetter("line"))
-        return self.log[max(begin, len(self.log) - most) :]
+        return self.log[max(begin, len(self.log) - _MOST_LOG_LINES) :]
 
-    def log_before(self, before: int, most: int) -> list[LogLine]:
+    def log_before(self, before: int) -> list[LogLine]:
         """Return the log before a line, as `log_after`."""
         end = bisect_left(self.log, before, key=itemgetter("line"))
-        return self.log[max(0, end - most) : end]
+        return self.log[max(0, end - _MOST_LOG_LINES) : end]
 
     def _apply(self, entry: Entry) -> None:
         self.lines += 1

@@ -41,7 +41,6 @@ AGAIN_S = 5.0
 """A run in progress is told again after this time, because its times change, s."""
 LINGER_S = 20.0
 """A run without readers is kept for this time, s: a page that is loaded again finds it ready."""
-MOST_LOG_LINES = 300  # Older ones come on request
 MOST_VIEWS = 40
 """Pictures that are kept for each run; it bounds the memory of a night."""
 T = TypeVar("T")
@@ -103,7 +102,7 @@ class RunWatch:
                     "line": model.lines,
                     "head": self._head(),
                     "rows": model.changed_rows(begin),
-                    "log": model.log_after(begin, MOST_LOG_LINES),
+                    "log": model.log_after(begin),
                     **self.extras,
                 }
                 text = self._messages[begin, anew] = json.dumps(body, separators=(",", ":"), allow_nan=False)
