@@ -1,13 +1,13 @@
 """What installed packages add to Starbench by entry points: commands, kinds of folder, schemas and workers.
 
-An object is imported when it is used.
+An object is imported when it is used, as are the libraries of extras.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from importlib import metadata
+from importlib import import_module, metadata
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,14 @@ SOURCE = Path(__file__).parents[2]
 
 class ExtraMissing(UsageError):
     """Something needs a package that is not installed, or cannot be imported."""
+
+
+def extra_library(name: str, what: str, *, where: str = "", remedy: str) -> Any:
+    """Import a library of an extra. Raises `UsageError` with ``what``, a sentence, if it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise UsageError(what, where=where, remedy=remedy) from error
 
 
 def load_entry(entry: EntryPoint) -> Any:

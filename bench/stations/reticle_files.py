@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.encoding import plain_number
+from bench.base.entry_points import extra_library
 from bench.base.errors import UsageError
 from bench.stations.station_fields import TargetConfig
 from bench.stations.target_shapes import Drawing, Shapes, draw_target
@@ -191,13 +191,8 @@ def _edge(drawing: Drawing, units: str) -> NDArray[np.float64]:
 
 def _library(name: str) -> Any:
     """Import a library of the extra ``draw``."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise UsageError(
-            f"{name} is not installed. It writes this kind of file.",
-            remedy="Install it: pip install 'starbench[draw]'. SVG and PDF need nothing.",
-        ) from error
+    remedy = "Install it: pip install 'starbench[draw]'. SVG and PDF need nothing."
+    return extra_library(name, f"{name} is not installed. It writes this kind of file.", remedy=remedy)
 
 
 WRITERS: Mapping[str, Callable[[Drawing, str], bytes]] = {

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bench.base.errors import UsageError
+from bench.base.entry_points import extra_library
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -31,13 +30,8 @@ _END = b"</dcc:digitalCalibrationCertificate>\n"
 
 def library(name: str) -> Any:
     """Import a library of the extra ``certificate``. Raises UsageError when it is not installed."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise UsageError(
-            f"{name.partition('.')[0]} is not installed. Certificates need it.",
-            remedy="Install it: pip install 'starbench[certificate]'.",
-        ) from error
+    what = f"{name.partition('.')[0]} is not installed. Certificates need it."
+    return extra_library(name, what, remedy="Install it: pip install 'starbench[certificate]'.")
 
 
 def printable(text: str) -> str:

@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from bench.base.entry_points import extra_library
 from bench.base.errors import UsageError
 from bench.extras.history.columns import COLUMNS, SCHEMA, Cell, Row
 from bench.record.storage import new_output, require_free, storage_errors
@@ -50,12 +51,9 @@ def write_table(path: Path, rows: Iterable[Row], faults: Sequence[str] = ()) -> 
 
 
 def _pyarrow() -> Any:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet
-    except ImportError as error:
-        raise UsageError("A Parquet file needs pyarrow, which is not installed.", remedy=_INSTALL) from error
-    return pa
+    what = "A Parquet file needs pyarrow, which is not installed."
+    extra_library("pyarrow.parquet", what, remedy=_INSTALL)
+    return extra_library("pyarrow", what, remedy=_INSTALL)
 
 
 def arrow_schema(faults: Sequence[str]) -> Any:

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from bench.base.background import in_background
-from bench.base.errors import UsageError
+from bench.base.entry_points import extra_library
 from bench.base.failure import Failure
 from bench.base.worker_process import WorkerProcess, answer_questions
 from bench.work.workers import Finished, Serial, Work, Workers, WorkersLost, do
@@ -164,18 +164,14 @@ class DaskWorkers(Workers):
 
     def __init__(self, address: str, *, without_worker_s: float = _SILENCE_S) -> None:
         super().__init__()
-        try:
-            import distributed
-        except ImportError as error:
-            remedy = "Install it: pip install 'starbench[cluster]'"
-            raise UsageError("Dask is not installed.", where="--workers", remedy=remedy) from error
+        remedy = "Install it: pip install 'starbench[cluster]'"
+        dask = extra_library("distributed", "Dask is not installed.", where="--workers", remedy=remedy)
         for name in _LOGGERS:  # a lost connection is told by WorkersLost, not by tracebacks of the libraries
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self.address = address
         self._client: Any = None
         try:
-            connect: Any = distributed.Client
-            self._client = connect(address, timeout=_CONNECT_S, set_as_default=False)
+            self._client = dask.Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
             what = f"No Dask scheduler can be used here: {str(error).strip().rstrip('.') or type(error).__name__}."
             raise WorkersLost(what, where=address, remedy=_REMEDY) from error

@@ -9,10 +9,10 @@ import pytest
 from dcc_checks import check_dcc
 from lxml import etree
 
+from bench.base import entry_points
 from bench.base.bounded_json import leaves
 from bench.base.encoding import plain_number
 from bench.base.errors import UsageError
-from bench.extras.certificate import dcc_xml
 from bench.extras.certificate.certificate_data import Software
 from bench.extras.certificate.certificate_folder import require_libraries
 from bench.extras.certificate.d_si import OUR_UNITS, is_unit
@@ -196,6 +196,6 @@ def test_a_missing_library_is_named(monkeypatch):
     def refuse(name):
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr(dcc_xml, "import_module", refuse)
+    monkeypatch.setattr(entry_points, "import_module", refuse)
     with pytest.raises(UsageError, match=r"lxml is not installed.*starbench\[certificate\]"):
         require_libraries()
