@@ -77,18 +77,15 @@ def test_an_axis_a_pose_does_not_name_stands_at_zero_wherever_the_camera_was_bef
     ]
 
 
-@pytest.mark.parametrize(
-    ("order", "pans"), [("serpentine", [-1, 0, 1, 1, 0, -1]), ("rows", [-1, 0, 1, -1, 0, 1])]
-)
-def test_a_grid_goes_along_pan_first(order, pans):
+@pytest.mark.parametrize(("order", "back"), [("serpentine", [1, 0, -1]), ("rows", [-1, 0, 1])])
+def test_a_grid_goes_along_pan_first(order, back):
     script = steps_of(
         "steps:\n  - repeat:\n"
-        f"      poses: {{pan_deg: {{first: -1, last: 1, count: 3}}, tilt_deg: [2, 4], order: {order}}}\n"
+        f"      poses: {{pan_deg: {{first: -1, last: 1, count: 3}}, tilt_deg: [2, 4, 5, 8], order: {order}}}\n"
         "      steps: [move, record]\n"
     )
-    assert [(a["pan"], a["tilt"]) for _, _, a in poses(script)] == list(
-        zip(pans, [2, 2, 2, 4, 4, 4], strict=True)
-    )
+    visited = [(a["pan"], a["tilt"]) for _, _, a in poses(script)]
+    assert visited == [(p, t) for t in (2, 4, 5, 8) for p in (back if t in {4, 8} else [-1, 0, 1])]
 
 
 def test_a_span_of_one_is_its_middle_and_a_long_one_ends_exactly():
