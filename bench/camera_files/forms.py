@@ -47,6 +47,13 @@ def numbers(value: Any) -> list[float]:
     listed = list(_numbers(value))
     if not (np.abs(listed) < LARGEST).all():
         raise ValueError("has a value that is not finite")
+    if isinstance(value, Mapping) and {"rows", "cols"} <= value.keys():
+        sides = numbers([value["rows"], value["cols"]])
+        if np.prod(sides) != len(listed):
+            said = " x ".join(f"{side:g}" for side in sides)
+            raise ValueError(
+                f"says {said} but holds {len(listed)} numbers: decimal commas, or a number lost?"
+            )
     return listed
 
 

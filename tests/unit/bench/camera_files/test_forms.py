@@ -317,6 +317,8 @@ FOREIGN = {
 }  # fmt: skip
 SPOILT = {
     "plumb_bob with 8": (ros_yaml(D14[:8]), "5 coefficients, but coefficient 6 is 0.01"),
+    "decimal commas": (ros_yaml(D5).replace(f"data: {D5}", "data: [-0,1, 0,02, 0,001, 0,0]"), "says 1 x 5 but holds 8 numbers"),
+    "four of five": (opencv_yaml(D5).replace(f", {D5[-1]}]", "]"), "distortion_coefficients says 1 x 5 but holds 4 numbers"),
     "six coefficients": (opencv_yaml(D14[:6]), "6 distortion coefficients"),
     "three numbers as matrix": (json.dumps({**GEOMETRY, "K": [1, 2, 3]}), "has 3 numbers"),
     "columns of MATLAB": ({**LISTS, "camera_matrix": np.array(K).T.tolist()}, "row after row"),
