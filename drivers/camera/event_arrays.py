@@ -136,7 +136,7 @@ class ReadingState:
 
     share: float = 0.0  # Of the file, 0 to 1
     filled_px: tuple[int, int] = 0, 0  # Width and height that the events need
-    times_us: tuple[int, int] | None = None  # Of the first and the last event; None before any
+    times_us: tuple[int, int] | None = None  # Of the first event, and the latest; None before any
     unknown_words: int = 0  # Number of words left out because EVT3 does not define their type
 
 

@@ -47,7 +47,7 @@ from drivers.camera.raw_header import parse_header
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError, UnreadableEvents
 
 _MOST_BACK_STEP_US: Final = 10_000
-"""Times of one camera may step back by the length of a packet or two, which a computer has mixed up."""
+"""Times of one camera may lie behind the latest by the length of a packet or two, which a computer has mixed up."""
 _COPY_AGAIN: Final = "Copy it again from its origin, or export it again from the original recording."
 GROUP: Final = "starbench.event_files"
 """Entry points of formats; Starbench's own are declared so too."""
@@ -208,10 +208,8 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
         if len(events.t):
             _require_possible(events, of)
             before: tuple[int, int] | None = of.state.times_us
-            if before is not None and events.t[0] < before[1]:
-                _require_rising(np.array([before[1], events.t[0]]), read)
-            _require_rising(events.t, read + (before is not None))
-            of.state.times_us = before[0] if before else int(events.t[0]), int(events.t[-1])
+            first, latest = before or (int(events.t[0]), int(events.t[0]))
+            of.state.times_us = first, _latest(events.t, latest, read)
             unit.add(events.t)
         read += len(events.t)
         edges += len(triggers.t)
@@ -225,16 +223,17 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
         raise UnreadableEvents(f"{of.count - read} of its {of.count} events are missing.")
 
 
-def _require_rising(t: NDArray[np.int64], before: int) -> None:
-    """Refuse (`NotARecording`) times that step back further than a camera's do; ``before`` is the number of events."""
-    if (t[1:] >= t[:-1]).all():  # a third of the time of a difference
-        return
-    back = t[:-1] - t[1:]
-    if back.max() <= _MOST_BACK_STEP_US:
-        return
-    at = int(np.argmax(back > _MOST_BACK_STEP_US))
+def _latest(t: NDArray[np.int64], latest: int, before: int) -> int:
+    """Return the latest time, ``latest`` being that of ``before`` events; refuse one too far behind those before it."""
+    if t[0] >= latest and (t[1:] >= t[:-1]).all():  # a third of the time of a difference
+        return int(t[-1])
+    so_far = np.maximum.accumulate(np.maximum(t, latest))
+    is_behind = so_far - t > _MOST_BACK_STEP_US
+    if not is_behind.any():
+        return int(so_far[-1])
+    at = int(np.argmax(is_behind))
     raise NotARecording(
-        f"The times step back from {t[at]} to {t[at + 1]} us, near event {before + at}: the events are not sorted, or"
+        f"The times step back from {so_far[at]} to {t[at]} us, near event {before + at}: the events are not sorted, or"
         " the camera's clock began anew.",
         remedy="Sort them by time, or give each recording as a file of its own.",
     )
