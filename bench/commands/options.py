@@ -209,7 +209,9 @@ class OutputFolder(_Path):
     completed_as = "dir"
 
     def check(self, path: Path) -> None:
-        """Check that neither the path nor a folder above it is a file."""
+        """Check that neither the path nor a folder above it is a file, and that none above it is sealed."""
+        from bench.record.storage import require_unsealed
+
         there = next((p for p in (path, *path.parents) if os.path.lexists(p)), None)
         if there is not None and not there.is_dir():
             raise UsageError(
@@ -217,6 +219,7 @@ class OutputFolder(_Path):
                 where=str(path),
                 remedy="Choose another --output.",
             )
+        require_unsealed(path)
 
 
 class RunFolder(_Path):

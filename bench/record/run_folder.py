@@ -20,6 +20,7 @@ from bench.base.pasteable import pasteable
 from bench.record.folder_lock import lock_folder
 from bench.record.journal import CAPTURES, Capture
 from bench.record.storage import (
+    SEAL,
     is_temporary,
     make_folder,
     move_into_place,
@@ -49,7 +50,7 @@ PAGE_SIGNATURE = f"{REPORT}.sig"
 """Signature of the page of a run that failed or was aborted."""
 QUARANTINE = "quarantine"
 MANIFEST = "SHA256SUMS"
-SIGNATURE = "SHA256SUMS.sig"
+SIGNATURE = SEAL
 _RESERVE = ".reserve"
 RESERVE_BYTES = 256 * 1024  # The journal's last lines and the list of files of a full disk
 PART = ".part"

@@ -13,7 +13,7 @@ import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import StorageError, UsageError
@@ -21,6 +21,8 @@ from drivers import new_output as outputs
 from drivers.durable import FOLDERS_OPEN, O_BINARY, sync_file, sync_folder, write_all
 from drivers.new_output import TEMPORARY, unfinished
 
+SEAL: Final = "SHA256SUMS.sig"
+"""The signature of a sealed folder: with it, the folder gets no new file."""
 HASH_CHUNK_BYTES = 1 << 20  # Memory that a hash takes
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -96,8 +98,9 @@ def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
 def new_output(path: Path) -> Iterator[Path]:
     """Provide a path for a new file or folder, which gets its name at the end of the block (`drivers.new_output`).
 
-    Parents are made. Raises UsageError if the name is taken, or another process is writing it.
+    Parents are made. Raises UsageError if the name is taken or in a sealed folder, or another process is writing it.
     """
+    require_unsealed(path)
     make_folder(path.absolute().parent)
     with storage_errors(path):
         try:
@@ -119,8 +122,22 @@ def discard_unfinished(path: Path) -> None:
         outputs.discard_unfinished(path)
 
 
+def require_unsealed(path: Path) -> None:
+    """Refuse a new output in a sealed folder."""
+    above = Path(os.path.realpath(path)).parents  # a link may lead into the folder
+    with storage_errors(path):
+        sealed = next((folder for folder in above if (folder / SEAL).exists()), None)
+    if sealed is not None:
+        raise UsageError(
+            f"{sealed} is sealed; a file in it would break its seal.",
+            where=str(path),
+            remedy="Choose an output outside of it.",
+        )
+
+
 def require_free(path: Path) -> None:
-    """Refuse a name that no new output may get: nothing is ever overwritten."""
+    """Refuse a name that no new output may get: nothing is ever overwritten, and no seal broken."""
+    require_unsealed(path)
     with storage_errors(path):
         if not outputs.is_free(path):
             raise _taken(path)

@@ -18,7 +18,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.base.program import forms
 from bench.record.folder_lock import lock_folder
-from bench.record.storage import make_folder, sha256_of, storage_errors, whole_lines
+from bench.record.storage import make_folder, require_unsealed, sha256_of, storage_errors, whole_lines
 from drivers.durable import write_all
 
 
@@ -47,6 +47,7 @@ class Table:
 
     def __init__(self, folder: Path, name: str) -> None:
         self.path = folder / name
+        require_unsealed(self.path)
         with storage_errors(folder):
             inside = folder.iterdir() if folder.is_dir() else ()
             occupant = next((entry for entry in inside if not entry.name.startswith(".")), None)

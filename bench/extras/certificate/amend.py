@@ -13,7 +13,6 @@ from bench.evidence.findings import Verification
 from bench.extras.certificate.certificate_data import Amends, Certificate, Change
 from bench.extras.certificate.certificate_folder import (
     PLOTS,
-    refuse_occupied,
     require_libraries,
 )
 from bench.extras.certificate.issue import Issued, Issuer, finished_before, make_certificate
@@ -26,6 +25,7 @@ from bench.extras.certificate.series import (
 from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS
 from bench.record.storage import (
     read_bounded,
+    require_free,
     sha256_of,
     storage_errors,
 )
@@ -51,7 +51,7 @@ def amend(
     require_libraries()
     if finished := finished_before(folder, laboratory.ledger):
         return finished
-    refuse_occupied(folder)
+    require_free(folder)
     lab = read_document(lab_file, LabConfig)
     before, source = _read_certificate(old, laboratory.verify(old))
     refuse_old(numbers(laboratory.ledger.entries()), before.number)

@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.extras.certificate.certificate_data import DCC, PDF, Certificate
 from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.dcc_xml import differs_by_a_signature, library
 from bench.record.results import Results
-from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, is_sealed
+from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS
 from bench.record.storage import new_output, require_free, sha256_of, write_files
 
 LAB = "lab.yaml"
@@ -55,21 +54,9 @@ def certificate_files(
     }
 
 
-def refuse_occupied(folder: Path) -> None:
-    """Refuse a name that is taken, or that lies in a sealed folder, before any number is taken."""
-    sealed = next((parent for parent in folder.absolute().parents if is_sealed(parent)), None)
-    if sealed is not None:
-        raise UsageError(
-            f"{sealed} is sealed; a file in it would break its seal.",
-            where=str(folder),
-            remedy="Choose an --output outside of it.",
-        )
-    require_free(folder)
-
-
 def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str:
     """Write and seal a folder, named only when it is complete; returns the SHA-256 of its SHA256SUMS."""
-    refuse_occupied(folder)
+    require_free(folder)
     with new_output(folder) as part:
         write_files(part, files)
         seal_folder(part, key)

@@ -22,7 +22,6 @@ from bench.extras.certificate.budget_rows import BudgetDiffers
 from bench.extras.certificate.certificate_data import Amends, Certificate
 from bench.extras.certificate.certificate_folder import (
     certificate_files,
-    refuse_occupied,
     require_libraries,
     write_sealed,
 )
@@ -47,6 +46,7 @@ from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, is_sealed
 from bench.record.storage import (
     discard_unfinished,
     read_bounded,
+    require_free,
     sha256_of,
     storage_errors,
 )
@@ -92,7 +92,7 @@ def issue(
     require_libraries()
     if finished := finished_before(folder, laboratory.ledger):
         return finished
-    refuse_occupied(folder)
+    require_free(folder)
     lab = read_document(lab_file, LabConfig)
     _refuse_second_early(run, laboratory.ledger, also)
     source = read_sealed_run(run, laboratory.verify)

@@ -103,6 +103,23 @@ def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
 
 @pytest.mark.parametrize(
     "words",
+    [
+        "run three_pose -s simulated -o", "calibrate . -o", "calibrate . --each -o", "passport make . -o", "station new",
+        "target -s simulated -o",
+    ],
+)  # fmt: skip
+def test_no_output_is_written_into_a_sealed_folder(say, tmp_path, words):
+    """Also through a link, and where the mode does not protect it: as root, or on FAT."""
+    (tmp_path / "run/captures").mkdir(parents=True)
+    (tmp_path / "run/SHA256SUMS.sig").touch()
+    (tmp_path / "link").symlink_to("run/captures")
+    status, _, message = say(*words.split(), "link/new.svg")
+    assert (status, list((tmp_path / "run/captures").iterdir())) == (2, [])
+    assert "run is sealed" in message
+
+
+@pytest.mark.parametrize(
+    "words",
     [("passport", "show", "source", "--seal"), ("passport", "make", "source", "-o"), ("station", "new")],
     ids=" ".join,
 )
