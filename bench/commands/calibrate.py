@@ -19,7 +19,7 @@ from bench.commands.calibrations import (
 )
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command
-from bench.commands.output import JSON, NOT_KEPT, left_out_lines, show, wants_json
+from bench.commands.output import JSON, NOT_KEPT, left_out_lines, print_line, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers, views_line
 from bench.measure.kept_views import FOLDER, KeptViews
 from bench.record.coverage import factors_text
@@ -59,7 +59,7 @@ def calibrate_each(
 
     def say(text: str, *, err: bool = False) -> None:
         progress.clear()
-        click.echo(text, err=err)
+        print_line(text, err=err)
 
     def ended(row: RunRow) -> None:
         say(run_text(row), err=as_json)
@@ -241,13 +241,13 @@ def _calibrate_together(paths: list[Path], options: OfflineOptions, output: Path
         with views_line(quiet=wants_json()) as progress:
             result = calibrate_paths(paths, options, kept, progress)
         for remark in kept.remarks:
-            click.echo(remark, err=True)
+            print_line(remark, err=True)
         if output is not None and part is not None:
             write_offline_results(result, output.resolve().name, part, key)
     if not wants_json():
         for line in left_out_lines(result.skipped):
-            click.echo(line, err=True)
+            print_line(line, err=True)
     show(result.to_dict, offline_lines(result))
     if output is not None and not wants_json():
-        click.echo(f"Report: {output / REPORT}")
+        print_line(f"Report: {output / REPORT}")
     return NOT_KEPT if (judged := result.conformity) and not judged.passed else 0

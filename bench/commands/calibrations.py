@@ -9,6 +9,7 @@ import click
 
 from bench.base.encoding import counted
 from bench.commands.options import STATION_NAME, together
+from bench.commands.output import print_line
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import exact, with_uncertainty
 from bench.wording.parameters import unit_text
@@ -45,7 +46,7 @@ def stated_camera(
 
     camera_file = read_camera_file(file, name, lens, image_size)
     for remark in camera_file.remarks:
-        click.echo(f"{file}: {remark}", err=True)
+        print_line(f"{file}: {remark}", err=True)
     return camera_file
 
 
@@ -54,10 +55,10 @@ def offline_lines(result: OfflineResult) -> Iterator[str]:
     if judged := result.conformity:
         yield conformity_headline(judged)
         yield from (f"  {sentence}" for sentence in conformity_sentences(judged))
-    yield calibration_text(result.calibration, words_for(result.board))
+    yield from calibration_lines(result.calibration, words_for(result.board))
 
 
-def calibration_text(calibration: Calibration, words: TargetWords) -> str:
+def calibration_lines(calibration: Calibration, words: TargetWords) -> list[str]:
     """Return a calibration as text: values with uncertainties first, reprojection error second."""
     points = sum(view.n for view in calibration.views)
     own = calibration.coverage_factors
@@ -76,7 +77,7 @@ def calibration_text(calibration: Calibration, words: TargetWords) -> str:
     )
     if not calibration.converged:
         lines.append("NOT CONVERGED: do not use these numbers.")
-    return "\n".join([*lines, *(f"Note: {note}" for note in calibration.notes)])
+    return [*lines, *(f"Note: {note}" for note in calibration.notes)]
 
 
 class _CutoffFrequency(click.ParamType):

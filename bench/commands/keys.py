@@ -84,8 +84,8 @@ def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Ite
     else:
         own = load_public_key(home)
         line = next((signer.line for signer in signers if signer.public_key == own.public_key), own.line)
-        yield f"Key:         {home / KEY_FILE}\nFingerprint: {fingerprint(own.public_key)}"
-        yield f"Line for the allowed_signers file of those who verify:\n  {line}"
+        yield from (f"Key:         {home / KEY_FILE}", f"Fingerprint: {fingerprint(own.public_key)}")
+        yield from ("Line for the allowed_signers file of those who verify:", f"  {line}")
     if (home / SIGNERS_FILE).exists():
         yield f"Trusted here ({home / SIGNERS_FILE}):"
         yield from _list_lines(signers, revoked)

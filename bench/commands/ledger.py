@@ -87,7 +87,7 @@ def _check() -> int:
 def _check_lines(facts: Mapping[str, Any], notes: Sequence[str]) -> Iterator[str]:
     if facts["head"]:
         lines, runs = counted(facts["lines"], "line"), counted(facts["runs"], "run")
-        yield f"{facts['file']}: {lines}, {runs}\nhead {facts['head']}"
+        yield from (f"{facts['file']}: {lines}, {runs}", f"head {facts['head']}")
     elif facts["lines"] == 0:
         yield f"{facts['file']}: there is no ledger."
     for note in notes:

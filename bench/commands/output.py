@@ -62,20 +62,28 @@ def wants_json() -> bool:
 def show(
     data: Mapping[str, Any] | Callable[[], Mapping[str, Any]], text: str | Iterable[str], *, err: bool = False
 ) -> None:
-    """Print ``data`` as JSON if wanted, else the lines of ``text``; a function works only if it is printed."""
+    """Print ``data`` as JSON if wanted, else ``text`` or its lines; a function works only if it is printed.
+
+    A name within a line writes no line of its own.
+    """
     if wants_json():
         print_json(data() if callable(data) else data)
         return
-    lines = (text,) if isinstance(text, str) else text
+    lines = (text,) if isinstance(text, str) else map(printable_line, text)
     # Each call of echo is a call of the system
     click.echo("".join(f"{line}\n" for line in lines), nl=False, err=err)
+
+
+def print_line(text: str, *, err: bool = False) -> None:
+    """Print one line, whatever names stand in it."""
+    click.echo(printable_line(text), err=err)
 
 
 def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:
     """Print notes and faults on standard error, of very many the first ones; return the exit status, 1 with a fault."""
     for word, sentences in () if wants_json() else (("Note", notes), ("FAULT", faults)):
         for sentence in sentences[:_MOST_SHOWN]:
-            click.echo(f"{word}: {printable_line(sentence)}", err=True)
+            print_line(f"{word}: {sentence}", err=True)
         if len(sentences) > _MOST_SHOWN:
             click.echo(f"{word}: and {len(sentences) - _MOST_SHOWN} more; --json lists all.", err=True)
     return 1 if faults else 0

@@ -13,7 +13,7 @@ import click
 from bench.base.home import home_folder
 from bench.commands.calibrations import collimator_options, offline_lines
 from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, epilog
-from bench.commands.output import JSON, ask_passphrase, left_out_lines, show
+from bench.commands.output import JSON, ask_passphrase, left_out_lines, print_line, show
 from bench.commands.values import Number
 from bench.commands.workers import views_line
 from bench.evidence.keys import BenchKey, usable_key
@@ -75,9 +75,9 @@ def passport_make(
         )
         part.write_bytes(sealed_bytes(made, key))
     for line in left_out_lines(result.skipped):
-        click.echo(line, err=True)
+        print_line(line, err=True)
     for line in (*offline_lines(result), f"Passport: {output}"):
-        click.echo(line)
+        print_line(line)
     return 0
 
 

@@ -120,7 +120,7 @@ def _plan_lines(
     from bench.record.pace import pace_on
     from bench.wording.plan_text import render_plan
 
-    yield render_plan(planned)
+    yield from render_plan(planned).split("\n")
     pace = pace_on(planned.station.value.name)
     if pace.factor > _PACE_TOLD_FROM:
         yield f"{pace.text()} That makes about {duration(pace.factor * planned.duration_s)}."
@@ -249,10 +249,12 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
     begins = f"{night.moment(night.bounds.opens_s).astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
     if night.bounds.done_by_s != NEVER_S:  # the next such time may be tomorrow's
         begins += f"; no run is begun that would end after {clock(night.bounds.done_by_s)}"
-    yield from (f"{text}\n" for text in night.slow)
+    for text in night.slow:
+        yield from (text, "")
     most = "at most " if any(planned.untils for planned in night.plans.values()) else ""
     takes = f"takes {most}".strip()
-    yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {takes:>13}  run"
+    yield from (f"{night.queue.name}: from {begins}", "")
+    yield f"{'begin':<10} {'end':<10} {takes:>13}  run"
     rows = [
         f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration(slot.end_s - slot.begin_s):>13}"
         f"  {slot.item.key}"
@@ -265,13 +267,14 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
     yield from rows
     if night.without_time:
         left_out = ", ".join(item.key for item in night.without_time)
-        yield f"\nNo time for {len(night.without_time)}: {left_out}"
-    yield f"\n{'job':<16} {'a run takes':>20} {'disk':>15}  expected U (about 95 %)"
+        yield from ("", f"No time for {len(night.without_time)}: {left_out}")
+    yield ""
+    yield f"{'job':<16} {'a run takes':>20} {'disk':>15}  expected U (about 95 %)"
     for name, planned in night.plans.items():
         yield from _job_lines(name, planned, forecasts[name])
     runs = len(night.slots) - len(night.without_time)
     end = f"{night.end.astimezone(zone):%a %H:%M %Z}{' at the latest' if most else ''}"
-    yield f"\n{runs} runs, until {end}, {most}about {size_text(night.size_bytes)} on disk."
+    yield from ("", f"{runs} runs, until {end}, {most}about {size_text(night.size_bytes)} on disk.")
 
 
 def _job_lines(name: str, planned: Plan, forecast: PlanForecast | None) -> Iterator[str]:

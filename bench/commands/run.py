@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bench.base.encoding import printable_line
 from bench.base.pasteable import pasteable
-from bench.commands.calibrations import calibration_text
+from bench.commands.calibrations import calibration_lines
 from bench.commands.options import (
     RUN,
     RUN_STATUS,
@@ -160,13 +159,13 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
 
     calibration = stored_calibration(results["calibration"])
     notes = tuple(note for note in calibration.notes if note not in causes)
-    yield calibration_text(replace(calibration, notes=notes), STARS)
+    yield from calibration_lines(replace(calibration, notes=notes), STARS)
     if results["comparison"]:
-        yield "\nSIMULATED devices. Distance from the simulated truth:"
+        yield from ("", "SIMULATED devices. Distance from the simulated truth:")
         yield from map(_distance_text, results["comparison"])
     for what in results["deviations"]:
         yield f"Deviation: {what}"
-    yield f"\nReport: {printable_line(str(end.outcome.report))}"
+    yield from ("", f"Report: {end.outcome.report}")
 
 
 def _distance_text(row: ComparisonRow) -> str:
@@ -183,7 +182,7 @@ def _early_end_lines(end: RunEnd) -> list[str]:
         *_device_lines(end),
         end.way_on[0],
         f"  {end.way_on[1]}",
-        *([f"Report: {printable_line(str(end.folder / REPORT))}"] if (end.folder / REPORT).is_file() else []),
+        *([f"Report: {end.folder / REPORT}"] if (end.folder / REPORT).is_file() else []),
     ]
 
 
@@ -212,7 +211,7 @@ def _recorded_lines(end: RunEnd) -> list[str]:
         path.relative_to(end.folder).as_posix() for path in (end.folder / CAPTURES).glob("pose-*")
     )
     lines = ["The run is finished and sealed. Its sequence has no report step, so there is no result."]
-    lines.append(f"Folder: {printable_line(str(end.folder))}")
+    lines.append(f"Folder: {end.folder}")
     if not recordings:
         return [*lines, "It has no recording."]
     shown = recordings[:_MOST_LISTED]

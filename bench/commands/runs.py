@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from bench.base.clock import BenchClock
-from bench.base.encoding import counted, printable_line
+from bench.base.encoding import counted
 from bench.base.errors import JournalBroken
 from bench.base.home import home_folder
 from bench.commands.ledger import ledger_findings
@@ -127,8 +127,7 @@ def _runs_lines(runs: Sequence[IndexedRun]) -> Iterator[str]:
         marks += f"  {states[run.folder]}"
         marks += f"  {counted(run.deviations, 'deviation')}" if run.deviations else ""
         begun = run.begun_utc[:16].replace("T", " ")
-        row = f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
-        yield printable_line(row)
+        yield f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
         if run.verdict and run.verdict["kind"] != "pass":
             yield f"  {listed_verdict(run.verdict, run.causes)}"
 

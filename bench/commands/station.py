@@ -27,7 +27,7 @@ from bench.commands.options import (
     epilog,
     status_text,
 )
-from bench.commands.output import JSON, STOPPED, print_json, show
+from bench.commands.output import JSON, STOPPED, print_json, print_line, show
 
 if TYPE_CHECKING:
     from bench.run.wiring import WiringReport
@@ -266,10 +266,10 @@ def station_new(
     write_new(path, draft.encode())
     for device in asked:
         if device is not None:
-            click.echo(f"It answered: {device.what} at {device.port}.")
+            print_line(f"It answered: {device.what} at {device.port}.")
     for sentence in discovery.missing:
-        click.echo(f"Missing: {sentence}")
-    click.echo(
+        print_line(f"Missing: {sentence}")
+    print_line(
         f"Written: {path}. Replace every placeholder (such as {Unknown.SERIAL}), check scales and limits, then:"
         f" {pasteable('plan', 'three_pose', '-s', path)}"
     )

@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 
-from bench.base.encoding import printable_line
 from bench.base.home import home_folder
 from bench.base.pasteable import pasteable
 from bench.base.program import forms
@@ -25,7 +24,7 @@ from bench.commands.options import (
     command,
     status_text,
 )
-from bench.commands.output import JSON, show, wants_json
+from bench.commands.output import JSON, print_line, show, wants_json
 from bench.commands.workers import WORKERS, CountLine, PartsLine, kept_work, open_workers
 from bench.evidence.authorisations import compare_authorisation, known_authorisations
 from bench.evidence.findings import Derivation, Findings, Verification
@@ -116,7 +115,7 @@ def verify_one(
 def show_verification(verification: Verification) -> int:
     """Print what a verification found; exit status 0 without fault, 1 with one, 4 if not everything was compared."""
     lines = _valid_lines(verification) if verification.ok else _fault_lines(verification)
-    show(verification.to_dict, map(printable_line, lines), err=not verification.ok)
+    show(verification.to_dict, lines, err=not verification.ok)
     if not verification.ok:
         return 1
     return 0 if verification.complete else NOT_COMPARED
@@ -169,7 +168,7 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
             state, text, rows[number] = _ended(chosen[number], end, kept, check)
             states[state] += 1
             line.clear()
-            click.echo(printable_line(text), err=wants_json())
+            print_line(text, err=wants_json())
             line.count()
     counted = ", ".join(f"{states[state]} {word}" for state, word in _WORDS.items() if states[state])
     numbers = "" if check.again else f" {_not_compared('--again')}"

@@ -112,7 +112,7 @@ def _export_runs(choice: RunChoice, path: Path) -> int:
     facts: dict[str, Any] = {"schema": "starbench/runs-export/1", "table": SCHEMA, "file": str(path)}
     show(
         {**facts, "rows": count, "faults": merged.faults, "notes": merged.notes},
-        f"{path}: {counted(count, 'run')}, schema {SCHEMA}.",
+        [f"{path}: {counted(count, 'run')}, schema {SCHEMA}."],
     )
     return print_findings(merged.faults, merged.notes)
 
@@ -154,13 +154,13 @@ def _chart_runs(choice: RunChoice, baseline: int | None, page: Path) -> int:
             "faults": merged.faults,
             "notes": notes,
         },
-        f"{_verdict_text(charts['groups'])}\nCharts: {page}",
+        [*_verdict(charts["groups"]), f"Charts: {page}"],
     )
     status = print_findings(merged.faults, notes)
     return status or int(any(map(needs_attention, charts["groups"])))
 
 
-def _verdict_text(groups: Sequence[ChartGroupData]) -> str:
+def _verdict(groups: Sequence[ChartGroupData]) -> list[str]:
     """Return the verdict: the groups that need attention first; of very many others, only their number."""
     wrong = [group for group in groups if needs_attention(group)]
     rest = [group for group in groups if not needs_attention(group)]
@@ -175,7 +175,7 @@ def _verdict_text(groups: Sequence[ChartGroupData]) -> str:
         lines.append(f"{len(rest)} other groups of runs need no attention; the page shows each of them.")
     if len(groups) > 1:
         lines.append(f"{len(wrong)} of {len(groups)} groups of runs need attention.")
-    return "\n".join(lines)
+    return lines
 
 
 def _verdict_lines(group: ChartGroupData) -> list[str]:

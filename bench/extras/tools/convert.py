@@ -11,6 +11,7 @@ import click
 
 from bench.base.errors import UsageError
 from bench.commands.options import AnyPath, EventFile, NewFile, OutputFolder, command
+from bench.commands.output import print_line
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 
 if TYPE_CHECKING:
@@ -111,16 +112,16 @@ def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
     moved = written["moved_events"]
     late = f", {moved} given the time of the event before" if moved else ""
     span = f", {written['span_us'] / 1e6:g} s" if written.get("span_us") else ""
-    click.echo(f"{output}: {written['events']} events{late}, {written['triggers']} triggers{span}")
+    print_line(f"{output}: {written['events']} events{late}, {written['triggers']} triggers{span}")
     for fact, assumed in written.get("assumed", {}).items():
-        click.echo(f"{source}: {_ASSUMED[fact].format(assumed)}", err=True)
+        print_line(f"{source}: {_ASSUMED[fact].format(assumed)}", err=True)
     if written.get("unknown_words"):
         what = "words whose type EVT3 does not define were left out"
-        click.echo(f"{source}: {what}: {written['unknown_words']}.", err=True)
+        print_line(f"{source}: {what}: {written['unknown_words']}.", err=True)
     if written.get("edges_left_out"):
-        click.echo(f"{source}: CSV holds no triggers; {written['edges_left_out']} were left out.", err=True)
+        print_line(f"{source}: CSV holds no triggers; {written['edges_left_out']} were left out.", err=True)
     if written["cut_off"]:
-        click.echo(
+        print_line(
             f"{source}: the file ends in the middle of a word or a line; everything before it was converted.",
             err=True,
         )
@@ -140,9 +141,9 @@ def _convert_many(
         ends.append(conversion)
         line.clear()
         if conversion.failure is not None:
-            click.echo(f"{conversion.source}: FAILED. {conversion.failure.message}", err=True)
+            print_line(f"{conversion.source}: FAILED. {conversion.failure.message}", err=True)
         elif conversion.before:
-            click.echo(f"{conversion.target}: was converted before")
+            print_line(f"{conversion.target}: was converted before")
         elif conversion.summary is not None:
             _say(conversion.source, conversion.target, conversion.summary)
         line.count()
@@ -155,5 +156,5 @@ def _convert_many(
     parts = [f"{len(ends) - failed - before} of {len(pairs)} files converted"]
     parts += [f"{before} were converted before"] if before else []
     parts += [f"{failed} FAILED"] if failed else []
-    click.echo(f"{'; '.join(parts)}.")
+    print_line(f"{'; '.join(parts)}.")
     return 1 if failed else 0

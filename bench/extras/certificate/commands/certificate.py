@@ -24,7 +24,7 @@ from bench.commands.options import (
     OutputFolder,
     epilog,
 )
-from bench.commands.output import JSON, ask_passphrase, print_findings, show
+from bench.commands.output import JSON, ask_passphrase, print_findings, print_line, show
 from bench.evidence.findings import Verification
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.keys import BenchKey, usable_key
@@ -66,7 +66,7 @@ def new(path: Path) -> int:
     from bench.extras.certificate.lab_config import EXAMPLE
 
     write_new(path, EXAMPLE.read_bytes())
-    click.echo(
+    print_line(
         f"Written: {path}. Replace every REPLACE in it;"
         f" then: {pasteable('certificate', 'issue', 'RUN', '-c', path, '-o', 'FOLDER')}"
     )
@@ -166,7 +166,7 @@ def _issued_lines(issued: Issued) -> Iterator[str]:
     for number in issued.completed:
         yield f"{number} was complete, but not in the ledger; entered now."
     yield from _summary(issued.certificate, "SEALED")
-    yield f"\nFolder: {issued.folder}"
+    yield from ("", f"Folder: {issued.folder}")
     yield (
         f"SEALED, not authorised. {issued.certificate.authorised_by.name} authorises it:"
         f" {pasteable('certificate', 'authorise', issued.folder)}"

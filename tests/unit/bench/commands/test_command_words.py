@@ -211,6 +211,20 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
         assert ("STARBENCH_HOME" in capsys.readouterr().err) is hints
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("station", "new", "y\nPASS", "--stand-ins", "keysight"), ("target", "-s", "simulated", "-o", "y\nPASS.svg"),
+        ("calibrate", "runs", "--each"),
+    ],
+)  # fmt: skip
+def test_a_name_writes_no_line_of_its_own(say, tmp_path, words):
+    MadeRun(tmp_path / "runs/x\nPASS").begin()
+    printed = "".join(say(*words)[1:])
+    assert "\nPASS" not in printed
+    assert r"\nPASS" in printed
+
+
 REFUSED = [
     # Commands that left: where their work is done now.
     ("certificate issue runs/a --xades-key=key.pem", "dcc.xml"),
