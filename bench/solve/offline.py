@@ -16,7 +16,9 @@ from bench.measure.views_file import StoredView
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.conformity import conformity
+from bench.record.journal import CAPTURES
 from bench.record.results import Conformity, ReadingsUse
+from bench.record.run_folder import CHECKED_COPY, RESULTS
 from bench.solve.loose_recordings import RECORDINGS, camera_serial, first_names, used_recordings
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.solution import calibrated
@@ -219,6 +221,19 @@ def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> 
         raise DegenerateViews(
             f"The two cameras share no pose: {shown[0]} and {shown[1]}.",
             remedy="Give the two views of one pose the same name.",
+        )
+
+
+def require_other_views(calibration: Path, paths: Sequence[Path]) -> None:
+    """Refuse a calibration that lies among the views, or is the results of their run: it was made from them."""
+    file, views = calibration.resolve(), [path.resolve() for path in paths]
+    own = file.with_name(CAPTURES) if file.name == RESULTS else file
+    of_them = any(file.is_relative_to(path) or path.is_relative_to(own) for path in views)
+    if of_them and file.name != CHECKED_COPY:
+        raise UsageError(
+            "This calibration was made from the same views. They would count twice.",
+            where=str(calibration),
+            remedy="Give a calibration from other views.",
         )
 
 

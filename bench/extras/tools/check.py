@@ -54,13 +54,14 @@ def check(
     calibrated alone, and the two cameras are compared over the sensor. One view is enough if the collimator is known,
     by the run's station or by a passport. One view without it is judged as far as no other pose explains it.
     """
-    from bench.solve.offline import calibrate_paths, only_view
+    from bench.solve.offline import calibrate_paths, only_view, require_other_views
     from bench.solve.offline_options import OfflineOptions
     from bench.solve.solution import compared_with
     from calib.errors import DegenerateViews
 
     choices = OfflineOptions.from_command_line(**options)
     stated = stated_camera(file, camera, lens, choices.image_size)
+    require_other_views(stated.path, paths)
     if choices.board is not None and choices.distortion is None:
         choices = replace(choices, distortion=_lens_of(stated.camera))
     try:

@@ -28,7 +28,14 @@ from bench.solve.exports import (
     yaml_bytes,
 )
 from bench.solve.loose_recordings import RECORDINGS
-from bench.solve.offline import Reached, calibrate_paths, nothing_shown, read_views, require_common_views
+from bench.solve.offline import (
+    Reached,
+    calibrate_paths,
+    nothing_shown,
+    read_views,
+    require_common_views,
+    require_other_views,
+)
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import left_beside, view_sources
 from calib.model.rotation import exp_map, log_map
@@ -119,12 +126,7 @@ def _by_views(
     """Return the rig by views that give the intrinsics too; `cameras` add what is known of them from other views."""
     require_common_views(paths[0], paths[1], choices)
     for path, own in zip(paths, cameras, strict=bool(cameras)):
-        if own.path.resolve().is_relative_to(path.resolve()):
-            raise UsageError(
-                "This calibration was made from the same views. They would count twice.",
-                where=str(own.path),
-                remedy="Give a calibration from other views, or leave out --calibration.",
-            )
+        require_other_views(own.path, [path])
     results = [calibrate_paths([path], choices, progress=reading.reached) for path in paths]
     skipped = tuple(reason for result in results for reason in result.skipped)
     first, second = (result.calibration for result in results)

@@ -45,6 +45,11 @@ def test_a_camera_that_did_not_change_is_right_within_u(capsys, points, camera_i
     assert "states no uncertainty" in shown
 
 
+def test_a_calibration_is_not_checked_by_its_own_views(capsys, points, camera_info, tmp_path):
+    words = ("check", tmp_path, "--image-size", "1280x720", "--calibration", camera_info())
+    assert "the same views" in refusal(capsys, *words, status=2)
+
+
 def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, points, camera_info):
     words = ["check", points[0], "--image-size", "1280x720", "--calibration", camera_info(longer=1.01)]
     answer = json.loads(out_of(capsys, *words, "--json", status=1))
