@@ -100,7 +100,8 @@ def _matrix(elements: Sequence[float]) -> Array:
             "the camera is not calibrated: its camera matrix is zero", "Calibrate the camera first."
         )
     if not np.array_equal(matrix[2], [0.0, 0.0, 1.0]) or matrix[1, 0]:
-        raise OtherForm("the camera matrix is not fx 0 cx, 0 fy cy, 0 0 1, row after row")
+        turned = "; it is transposed, as in MATLAB" if np.array_equal(matrix[:, 2], [0.0, 0.0, 1.0]) else ""
+        raise OtherForm(f"the camera matrix is not fx 0 cx, 0 fy cy, 0 0 1, row after row{turned}")
     return matrix
 
 

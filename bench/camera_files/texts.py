@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from bench.base.bounded_json import parse_json
-from drivers.camera.file_kinds import in_place_of_file
+from drivers.camera.file_kinds import in_place_of_file, known_kind
 from sequences.yaml_text import parse
 
 MOST_FILE_BYTES: Final = 20_000_000
@@ -50,10 +50,10 @@ class OtherForm(ValueError):
 
 def values_of(data: bytes) -> tuple[str, dict[str, Any]]:
     """Return the syntax of a file, and its names with texts, numbers, lists and mappings; or raise OtherForm."""
-    if in_place := in_place_of_file(data):
-        raise OtherForm(f"it is {in_place[0]}", in_place[1])
-    if data.startswith(_NPZ):
+    if data.startswith(_NPZ) and not in_place_of_file(data):
         return "npz", _npz(data)
+    if known := known_kind(data):
+        raise OtherForm(f"it is {known[0]}", known[1])
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n").strip()
     except UnicodeDecodeError:

@@ -18,7 +18,7 @@ import numpy as np
 from bench.base.errors import BenchError, StorageError
 from calib.errors import InputMismatch
 from calib.view import View
-from drivers.camera.file_kinds import in_place_of_file
+from drivers.camera.file_kinds import known_kind
 from drivers.camera.raw_check import require_regular
 
 Origin = Literal["corner", "centre", "matlab"]
@@ -123,8 +123,8 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
                 where=str(path),
                 remedy="Point files have lines x y X Y id, one for each star of one view.",
             )
-        if in_place := in_place_of_file(data):
-            raise BenchError(f"The file is {in_place[0]}.", where=str(path), remedy=in_place[1])
+        if data[:2] not in _MARKS and (known := known_kind(data)):
+            raise BenchError(f"The file is {known[0]}.", where=str(path), remedy=known[1])
         codec = _MARKS.get(data[:2], "utf-8-sig")
         lines = data.decode(codec).splitlines()
     except OSError as error:

@@ -42,13 +42,13 @@ _OTHERS: Final = (
     (b"\x89HDF", "an HDF5 file", ""),
     (b"\x89PNG", "a PNG image", ""),
     (b"\xff\xd8\xff", "a JPEG image", ""),
-    (b"II*\x00", "a TIFF image", ""),
-    (b"MM\x00*", "a TIFF image", ""),
+    ((b"II*\x00", b"MM\x00*"), "a TIFF image", ""),
     (b"PK\x03\x04", "a zip archive", _UNPACK),
-    *(
-        (begin, "an archive", _UNPACK)
-        for begin in (b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd", b"7z\xbc\xaf")
-    ),
+    ((b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd", b"7z\xbc\xaf"), "an archive", _UNPACK),
+    (b"\x93NUMPY", "one array of NumPy", ""),
+    ((b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT"), "a file of MATLAB", "Write its values as text."),
+    ((b"\x80\4\x95", b"\x80\5\x95"), "a pickle of Python", "Save its arrays by np.savez."),
+    ((b"\xff\xfe", b"\xfe\xff"), "text in UTF-16", "Save it as text in UTF-8."),
 )
 _OF_PHOTO_CAMERAS: Final = {
     ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".srw",
@@ -77,16 +77,20 @@ def is_dat(start: bytes) -> bool:
     return re.match(rb"(?:% [^\n]*\n)*?% Data file containing", start) is not None
 
 
+def known_kind(start: bytes, ending: str = "") -> tuple[str, str] | None:
+    """Return what a file is by its first bytes, and what to do with it, or ""; None if they do not say it."""
+    known = unread_picture(start, ending) or in_place_of_file(start)
+    if known or is_dat(start):
+        return known or ("a DAT file", "")
+    return next(((what, remedy) for begin, what, remedy in _OTHERS if start.startswith(begin)), None)
+
+
 def kind_of_file(start: bytes, ending: str = "") -> tuple[str, str]:
     """Return what a file is that is no RAW file, and what to do with it, or ""."""
     if not start:
         return "empty", ""
-    known = unread_picture(start, ending) or in_place_of_file(start)
-    if known or is_dat(start):
-        return known or ("a DAT file", "")
-    for begin, what, remedy in _OTHERS:
-        if start.startswith(begin):
-            return what, remedy
+    if known := known_kind(start, ending):
+        return known
     if not start.strip(b"\0"):
         return "nothing but zeros", "Copy the file again: its contents are lost here."
     if all(byte in b"\t\r\n" or 32 <= byte != 127 for byte in start[:512]):

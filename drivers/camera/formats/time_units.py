@@ -82,8 +82,11 @@ class UnitCheck:
     def end(self) -> None:
         """Refuse (`NotARecording`) times in another unit: all in whole ms, or at a rate that another unit explains."""
         unit, span_us = self._unit, self._last_us - self._first_us
-        if unit is None or self._count < _LEAST_EVENTS or span_us <= 0:
+        if unit is None or self._count < _LEAST_EVENTS or span_us < 0:
             return
+        if not span_us:
+            what = f"Its {self._count} events begin and end at one time: the times were rounded, such as to float32."
+            raise NotARecording(what, remedy="Export them again, as whole numbers or float64.")
         fitting = self._fitting(span_us)
         is_coarse = not unit.is_given and self._is_coarse and span_us >= _LEAST_TIMES * _COARSE_US
         if not is_coarse and (unit.read_as in fitting or (unit.is_given and not fitting)):

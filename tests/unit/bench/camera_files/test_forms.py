@@ -1,6 +1,7 @@
 """The forms of camera files, as their programs write them: the rays of each camera are those of OpenCV."""
 
 import contextlib
+import gzip
 import io
 import json
 import zipfile
@@ -311,6 +312,8 @@ FOREIGN = {
     "a rig of two": (json.dumps({"cam0": 1, "cam1": {}}), "2 cameras: cam0, cam1"),
     "binary": (b"\x00\x01\x02\x03", "binary"),
     "no UTF-8": ("Brennweite für 3".encode("latin-1"), "UTF-8"),
+    "packed": (gzip.compress(b"K: 1"), "an archive"),
+    "UTF-16": (opencv_yaml(D5).encode("utf-16"), "UTF-16"),
     "web page": ("<!DOCTYPE html>\n<html><body>Raw</body></html>", "a web page"),
     "zip": (b"PK\x03\x04\x14\x00", "np.savez"),
     "names of npz": (npz(k012=np.array([0.1])), "k012"),
@@ -321,7 +324,7 @@ SPOILT = {
     "four of five": (opencv_yaml(D5).replace(f", {D5[-1]}]", "]"), "distortion_coefficients says 1 x 5 but holds 4 numbers"),
     "six coefficients": (opencv_yaml(D14[:6]), "6 distortion coefficients"),
     "three numbers as matrix": (json.dumps({**GEOMETRY, "K": [1, 2, 3]}), "has 3 numbers"),
-    "columns of MATLAB": ({**LISTS, "camera_matrix": np.array(K).T.tolist()}, "row after row"),
+    "columns of MATLAB": ({**LISTS, "camera_matrix": np.array(K).T.tolist()}, "it is transposed"),
     "not calibrated": (ros_yaml(ZEROS[:5], matrix=ZEROS), "not calibrated"),
     "not finite": (opencv_yaml([-0.1, float("nan"), 0.0, 0.0, 0.0]), "distortion_coefficients has a value that is not finite"),
     "text in place of a number": ({**LISTS, "dist_coeff": ["a"]}, "dist_coeff is no list of numbers"),

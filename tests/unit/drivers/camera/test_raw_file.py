@@ -195,7 +195,8 @@ def zip_start(*names):
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "office program.*CSV"),
         (b"\0" * 100, "nothing but zeros"),
         (b"#!AER-DAT2.0\r\n# created by v2e\r\n\0\1", "binary data.* AEDAT 4.* faery"),
-        (b"MATLAB 5.0 MAT-file, Platform", "a text file.*faery"),
+        (b"MATLAB 5.0 MAT-file, Platform", "a file of MATLAB. Write"),
+        (b"\xff\xfet\0,\0x\0", "text in UTF-16.*UTF-8"),
         (b"% evt 4.0\n% format EVT4;height=720;width=1280\n", "The file holds EVT4"),
         # OpenEB, i_events_stream.cpp: the header of an index is that of its recording, and more
         (b"% format EVT3;height=720;width=1280\n% index_version 2.0\n% end\n", "index .* beside"),

@@ -112,10 +112,15 @@ def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, uni
     assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
-def test_times_that_are_no_numbers_are_told(tmp_path):
-    t = T_US * 1e-6
-    t[7] = np.nan
-    with pytest.raises(NotARecording, match="times are no numbers"):
+@pytest.mark.parametrize(
+    ("t", "why"),
+    [
+        (np.where(np.arange(N) == 7, np.nan, T_US * 1e-6), "times are no numbers"),
+        (np.float32(1.7e9 + T_US * 1e-6), "one time: .* float64"),  # since 1970: multiples of 128 s
+    ],
+)
+def test_times_that_are_lost_are_told(tmp_path, t, why):
+    with pytest.raises(NotARecording, match=why):
         import_events(write_npz(tmp_path, OTHERS | {"t": t}), ReadingChoices(SIZE))
 
 
