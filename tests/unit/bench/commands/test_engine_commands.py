@@ -33,9 +33,7 @@ def test_with_a_passport_one_view_is_enough(capsys, points, tmp_path):
     conditions = ("--collimator", "C7", "--temperature", 21.5)
     out_of(capsys, "passport", "make", folder, "--image-size", "1280x720", "-o", file, *conditions)
     shown = out_of(capsys, "passport", "show", file)
-    assert "collimator: C7" in shown
-    assert "temperature_c: 21.5" in shown
-    assert "from 5 views: view1" in shown
+    assert all(fact in shown for fact in ("collimator: C7", "temperature_c: 21.5", "from 5 views: view1"))
     held = json.loads(out_of(capsys, "passport", "show", file, "--json"))
     assert held["names"][:3] == ["x", "y", "r"]
     assert np.array(held["covariance"]).shape == (len(held["names"]), len(held["names"]))

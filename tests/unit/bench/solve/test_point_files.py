@@ -68,10 +68,7 @@ WRONG = {
     "a note of a person": ("taken on Monday\n", "no list of points"),
     "a target that is not flat": (text(ROWS, "{0},{1},{2},{3},5,{4}", "x,y,X,Y,Z,id"), "plane Z = 0"),
     "a cell that was not computed": (f"{text(ROWS)}\n#DIV/0!,2,3,4,25\n", "Not a number"),
-    "umlauts of a spreadsheet": (
-        text(ROWS, header="x,y,X,Y,id,H\u00f6he").encode("cp1252"),
-        "not UTF-8 text",
-    ),
+    "umlauts of a spreadsheet": (text(ROWS, header="x,y,H\u00f6he").encode("cp1252"), "not UTF-8 text"),
     "a spreadsheet's own file": (b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml", "an office program"),
     "a column too few": ("1 2 3 4 5\n1 2 3\n", r"a\.csv:2: .* 3 columns instead of 5"),
     "not finite": ("1 2 nan 4 5\n", r"a\.csv:1: .*not finite"),

@@ -191,7 +191,6 @@ def zip_start(*names):
         (b"version https://git-lfs.github.com/spec/v1\noid", "a pointer of Git LFS"),
         (zip_start(b"[Content_Types].xml", b"_rels/.rels", b"xl/workbook.xml"), "office program.*CSV"),
         (zip_start(b"mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "office program.*CSV"),
-        (zip_start(b"[Content_Types].xml", b"word/document.xml"), "office program.*CSV"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "office program.*CSV"),
         (b"\0" * 100, "nothing but zeros"),
         (b"#!AER-DAT2.0\r\n# created by v2e\r\n\0\1", "binary data.* AEDAT 4.* faery"),
