@@ -52,7 +52,7 @@ def numbers(value: Any) -> list[float]:
         if np.prod(sides) != len(listed):
             said = " x ".join(f"{side:g}" for side in sides)
             raise ValueError(
-                f"says {said} but holds {len(listed)} numbers: decimal commas, or a number lost?"
+                f"says {said} but holds {len(listed)} numbers (a decimal comma makes two of one)"
             )
     return listed
 
