@@ -1,34 +1,24 @@
 """Compares what was made again with what is stored: within the uncertainty it is confirmed, whatever version made it.
 
-A value may differ by a tenth of its U, every other number by a twentieth; counts, names and verdicts not at all. What
-differs by more is a fault if the same engine made both. Of another engine it is not confirmed.
+What differs by more than `bench.again.limits` is a fault if the same engine made both. Of another engine it is not
+confirmed.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 
+from bench.again.limits import EXACT, MOST_SHARE, Rules
 from bench.evidence.findings import Findings
-from bench.record.coverage import coverage_factor
 from bench.solve.results_content import other_software
 from calib.arrays import Array
 from calib.calibration import ENGINES
 
-MOST_OF_U = 0.1
-"""A value may differ by this part of its expanded uncertainty: ten times less than what anybody may rely on."""
-MOST_SHARE = 0.05
-"""An uncertainty, and any other number, may differ by this share of itself: U is stated with two digits."""
-_ROUNDING = 1e-6
-"""Share of the largest number of a list by which its small ones may differ: what cancels leaves the rounding."""
-_CANCELLED = 1e-9
-"""Numbers of this size are 0."""
 _WORK = "iterations"
 """A number of work, not of a result: rounding may change it."""
 _COVARIANCES = ("matrix", "covariance_rad2", "sight_covariance_rad2")
@@ -107,26 +97,18 @@ def judge(kind: str, name: str, seen: Iterable[Difference], maker: Maker, findin
         findings.not_confirmed.append(f"{name}: {shown}{more}. {maker.how_to_install}")
 
 
-def limits_of_values(calibration: Mapping[str, Any]) -> dict[str, float]:
-    """Return how far each value may differ from that of a calibration, as results.json has it, by its place."""
-    return {
-        f"calibration.{part}.{name}": MOST_OF_U * coverage_factor(calibration, name) * sigma  # type: ignore[arg-type]
-        for name, sigma in calibration["sigma"].items()
-        for part in ("camera", "collimator")
-    }
+def differences(stored: Any, derived: Any, rules: Rules = EXACT, where: str = "") -> Iterator[Difference]:
+    """Compare two contents, and yield each difference in the order of the derived one.
 
-
-def differences(
-    stored: Any, derived: Any, limits: Mapping[str, float] = MappingProxyType({}), where: str = ""
-) -> Iterator[Difference]:
-    """Compare two contents, and yield each difference in the order of the derived one; ``limits`` by place."""
-    yield from _differences(stored, json.loads(json.dumps(derived)), limits, where, 0.0)
+    Without a limit of its own, a number that is calculated may differ by `MOST_SHARE`, others by that of ``rules``.
+    """
+    yield from _differences(stored, json.loads(json.dumps(derived)), rules, where, None)
 
 
 def _differences(
-    stored: Any, derived: Any, limits: Mapping[str, float], where: str, scale: float
+    stored: Any, derived: Any, rules: Rules, where: str, limit: Any, scale: float = 0.0
 ) -> Iterator[Difference]:
-    """``scale`` is the largest number of the list in which these stand."""
+    """``limit`` is that of the place, None for the usual one; ``scale`` the largest number of the list around it."""
     name = where.rpartition(".")[2]
     if name in _COVARIANCES:
         yield from _of_covariance(stored, derived, where)
@@ -136,7 +118,8 @@ def _differences(
             if key not in stored:
                 yield Difference(f"{prefix}{key}", "missing", None, value)
             else:
-                yield from _differences(stored[key], value, limits, f"{prefix}{key}", 0.0)
+                own = rules.inside(where, key, derived, limit)
+                yield from _differences(stored[key], value, rules, f"{prefix}{key}", own)
         for key in stored:
             if key not in derived:
                 yield Difference(f"{prefix}{key}", "added", stored[key], None)
@@ -148,19 +131,10 @@ def _differences(
             yield Difference(f"{where}[{last}]", "added", stored[last], None)
         scale = max(scale, _largest([*derived, *stored]))
         for number, (had, due) in enumerate(zip(stored, derived, strict=False)):
-            yield from _differences(had, due, limits, f"{where}[{number}]", scale)
-    elif name != _WORK and not _same(stored, derived, limits, where, scale):
+            own = limit[number] if isinstance(limit, list) else limit
+            yield from _differences(had, due, rules, f"{where}[{number}]", own, scale)
+    elif name != _WORK and not rules.same(stored, derived, where, limit, scale):
         yield Difference(where, "value", stored, derived)
-
-
-def _same(stored: Any, derived: Any, limits: Mapping[str, float], where: str, scale: float) -> bool:
-    if not (_is_finite(stored) and _is_finite(derived)) or (
-        isinstance(stored, int) and isinstance(derived, int)
-    ):
-        return type(stored) is type(derived) and bool(stored == derived)
-    share = MOST_SHARE * max(abs(stored), abs(derived))
-    limit = limits.get(where, max(share, _ROUNDING * scale, _CANCELLED))
-    return bool(abs(stored - derived) <= limit)
 
 
 def _of_covariance(stored: Any, derived: Any, where: str) -> Iterator[Difference]:
@@ -187,12 +161,8 @@ def arrays_differ(where: str, stored: Array, derived: Array, limit: Array | floa
         yield Difference(f"{where}{place}", "value", stored[at].item(), derived[at].item())
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def _largest(values: Sequence[Any]) -> float:
-    return max((abs(float(value)) for value in values if _is_finite(value)), default=0.0)
+    return max((abs(value) for value in values if isinstance(value, float)), default=0.0)
 
 
 def _shown(value: Any) -> str:

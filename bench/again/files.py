@@ -13,16 +13,8 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from bench.again.compare import (
-    MOST_OF_U,
-    Difference,
-    Maker,
-    arrays_differ,
-    differences,
-    judge,
-    limit_of_covariances,
-    limits_of_values,
-)
+from bench.again.compare import Difference, Maker, arrays_differ, differences, judge, limit_of_covariances
+from bench.again.limits import MOST_OF_U, ROUNDING, rules_of_results
 from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError
 from bench.evidence.findings import UNREADABLE, Findings
@@ -44,8 +36,6 @@ _AROUND = 30  # Bytes: the words around a difference
 _ENGINE = "calibration.engine"
 _K_OF_STAR = 2.0
 """U of a star's place is 2 sigma."""
-_ROUNDING = 1e-6
-"""Share of the largest number of an array that another computer may round otherwise."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +85,7 @@ def _compare_results(
     if canonical_json(stored) == canonical_json(again):
         findings.remarks.append("made again: every number is equal to the last bit")
         return
-    seen = list(differences(stored, again, limits_of_values(again["calibration"])))
+    seen = list(differences(stored, again, rules_of_results(again)))
     if not maker.is_same_program:  # another engine states that it is another one
         seen = [difference for difference in seen if not difference.where.startswith(_ENGINE)]
     judge("results", RESULTS, seen, maker, findings)
@@ -140,7 +130,7 @@ def _views_differ(had: StoredView, due: StoredView) -> Iterator[Difference]:
     }
     stored = _parts(had)
     for name, made in _parts(due).items():
-        limit = limits.get(name, _ROUNDING * np.max(np.abs(made), initial=0.0))
+        limit = limits.get(name, ROUNDING * np.max(np.abs(made), initial=0.0))
         if seen := list(arrays_differ(f"{due.view.name}.{name}", stored[name], made, limit)):
             yield from seen
             return  # of other stars, places say nothing

@@ -14,6 +14,7 @@ from typing import Any
 
 from bench.again.compare import Difference, Maker, differences, judge
 from bench.again.files import MadeAgain, compare_files, compare_plan, maker_of
+from bench.again.limits import OF_RECORDING
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import BenchError
 from bench.evidence.findings import UNREADABLE, Findings
@@ -23,14 +24,7 @@ from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from bench.record.history import Attempt, History, replay
-from bench.record.run_folder import (
-    JOURNAL,
-    PASSPORT_COPY,
-    REPORT,
-    RESULTS,
-    SEQUENCE_COPY,
-    STATION_COPY,
-)
+from bench.record.run_folder import JOURNAL, PASSPORT_COPY, REPORT, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.stored_run import StoredRun
 from bench.solve.causes import causes_of_run
 from bench.solve.measured_again import measure_again
@@ -179,7 +173,7 @@ def _check_attempts(evidence: _Evidence, findings: Findings, progress: Reached) 
         due = _due_verdict(evidence.job, attempt, again)
         had = {name: attempt.checked.get(name) for name in due}
         where = f"pose {attempt.pose_index} attempt {attempt.attempt}"
-        seen += differences(had, due, where=where)
+        seen += differences(had, due, OF_RECORDING, where=where)
     judge("journal", JOURNAL, seen, evidence.maker, findings)
     progress(len(attempts), len(attempts))
     return kept

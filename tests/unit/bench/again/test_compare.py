@@ -7,23 +7,25 @@ import numpy as np
 import pytest
 from report_sample import sample
 
-from bench.again.compare import differences, judge, limits_of_values
+from bench.again.compare import differences, judge
 from bench.again.files import maker_of
+from bench.again.limits import OF_RECORDING, rules_of_results
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.evidence.findings import Findings
-from bench.record.coverage import coverage_factor
 from bench.solve.results_content import software
 from bench.solve.solution import compare_with_truth
 from calib.calibration import ENGINES
 from simulators.config import bench_config
 from tests.unit.bench.evidence.attack_steps import set_at
 
+K = 2.0
+
 
 def compared(stored, again):
     """What is said of stored results beside those made again: faults, and what was found."""
     findings = Findings()
     maker = maker_of(stored, stored["run"]["software"])
-    found = differences(stored, again, limits_of_values(again["calibration"]))
+    found = differences(stored, again, rules_of_results(again))
     judge("results", "results.json", found, maker, findings)
     return [str(fault) for fault in findings.faults], findings
 
@@ -55,38 +57,18 @@ def of_another_engine(by_another):
     return {**by_another, "calibration": calibration}
 
 
-def with_u(results, name, share):
-    """The results with a value moved by a share of its U."""
-    calibration = results["calibration"]
-    k = coverage_factor(calibration, name)
-    return changed(results, "camera", name, share * k)
-
-
 @pytest.mark.parametrize("made_by", ["stored", "by_another", "of_another_engine"])
-def test_a_value_within_a_tenth_of_its_u_is_confirmed_whatever_version_made_it(request, made_by):
+def test_a_value_within_a_tenth_of_its_u_is_confirmed_and_another_a_fault_of_the_same_engine(
+    request, made_by
+):
     results = request.getfixturevalue(made_by)
-    faults, findings = compared(results, with_u(results, "fx", 0.09))
+    faults, findings = compared(results, changed(results, "camera", "fx", 0.09 * K))
     assert (faults, findings.not_confirmed) == ([], [])
-
-
-@pytest.mark.parametrize("made_by", ["stored", "by_another"])
-def test_a_value_farther_off_is_a_fault_of_the_same_engine_with_both_numbers(request, made_by):
-    results = request.getfixturevalue(made_by)
-    again = with_u(results, "fx", 0.11)
-    (fault,), findings = compared(results, again)
-    for made in (results, again):
-        assert f"{made['calibration']['camera']['fx']:.12g}" in fault
-    assert findings.not_confirmed == []
-
-
-def test_a_value_farther_off_is_not_confirmed_if_another_engine_made_it(of_another_engine):
-    again = with_u(of_another_engine, "fx", 0.11)
-    faults, findings = compared(of_another_engine, again)
-    (what,) = findings.not_confirmed
-    assert faults == []
-    for made in (of_another_engine, again):
-        assert f"{made['calibration']['camera']['fx']:.12g}" in what
-    assert "pip install starbench==" in what
+    again = changed(results, "camera", "fx", 0.11 * K)
+    faults, findings = compared(results, again)
+    (what,) = faults + findings.not_confirmed
+    assert bool(faults) is (made_by != "of_another_engine") is ("pip install starbench==" not in what)
+    assert all(f"{made['calibration']['camera']['fx']:.12g}" in what for made in (results, again))
 
 
 @pytest.mark.parametrize(
@@ -105,22 +87,52 @@ def test_a_covariance_is_compared_in_units_of_its_sigmas(stored):
         assert bool(compared(stored, again)[0]) == is_told
 
 
+CERTIFICATE = {"stated": 255.0, "sigma": 0.05, "expected": 254.8, "expected_sigma": 0.2, "innovation": 0.01}
+LIMIT = {"result": "fx", "lower": 3340.0, "upper": None, "value": 3346.0, "expanded": 4.3}
+GIMBAL = {"values": {"mounting_x": 2e-4}, "sigma": {"mounting_x": 0.025}}
+
+
 @pytest.mark.parametrize(
-    ("path", "value"),
+    ("path", "value", "is_told"),
     [
-        (("calibration", "rms_px"), 0.2),
-        (("calibration", "camera", "fx"), float("nan")),
-        (("calibration", "notes"), []),
-        (("poses", 0, "stars"), 1),
-        (("devices", "camera", "serial"), "00050999"),
+        (("run", "collimator", "nominal_r_mm"), 255.00001, True),
+        (("passport", "values", "r"), 255.04, True),
+        (("poses", 0, "measured_deg", "pan"), 1.70003, True),
+        (("poses", 0, "stars"), 1, True),
+        (("devices", "camera", "serial"), "00050999", True),
+        (("conformity", "statements", 0, "lower"), 3340.1, True),
+        (("conformity", "statements", 0, "value"), 3346.5, True),
+        (("calibration", "rms_px"), 0.2, True),
+        (("calibration", "camera", "fx"), float("nan"), True),
+        (("calibration", "notes"), [], True),
+        (("calibration", "witnesses", 0, "stated"), 255.04, True),
+        (("calibration", "witnesses", 0, "stated"), 255.001, False),  # in the unit of r
+        (("calibration", "witnesses", 0, "innovation"), 0.014, False),
+        (("calibration", "gimbal", "values", "mounting_x"), 2.2e-4, False),
+        (("calibration", "gimbal", "values", "mounting_x"), 0.006, True),
+        (("calibration", "views", 0, "rotation", 0, 1), 1e-5, False),
+        (("calibration", "views", 0, "rotation", 0, 0), 1.001, True),
+        (("calibration", "views", 0, "centre_mm", 0), 96.02, False),
+        (("calibration", "views", 0, "centre_mm", 0), 96.03, True),
+        (("gimbal", "scale", "pan_deg"), 1.00003, True),
     ],
 )
-def test_every_other_value_is_compared_too(stored, path, value):
-    again = copy.deepcopy(stored)
-    set_at(again, path, value)
-    faults = compared(stored, again)[0]
-    assert faults
-    assert all(str(path[-2] if isinstance(path[-1], int) else path[-1]) in fault for fault in faults)
+def test_what_is_copied_may_not_differ_and_what_has_a_u_by_a_tenth_of_it(stored, path, value, is_told):
+    """What may differ does by less on other processors and with other threads."""
+    again = {**stored, "conformity": {"statements": [LIMIT]}}
+    again["calibration"] = {**stored["calibration"], "witnesses": [CERTIFICATE], "gimbal": GIMBAL}
+    had = copy.deepcopy(again)
+    set_at(had, path, value)
+    faults = compared(had, again)[0]
+    assert bool(faults) is is_told
+    assert all(str([part for part in path if isinstance(part, str)][-1]) in fault for fault in faults)
+
+
+def test_a_plan_is_exact_and_of_a_recording_all_but_what_its_pixels_give():
+    had, due = ({"flicker_hz": hz, "motion_px": px} for hz, px in ((60.0, 0.0102), (60.01, 0.01)))
+    assert [seen.where for seen in differences(had, due)] == ["flicker_hz", "motion_px"]
+    seen = differences({"measured": had}, {"measured": due}, OF_RECORDING, "pose 1 attempt 1")
+    assert [each.where for each in seen] == ["pose 1 attempt 1.measured.flicker_hz"]
 
 
 def test_a_part_that_follows_from_nothing_or_was_removed_is_told(stored):

@@ -41,11 +41,8 @@ def write(folder, results, held):
     """Write results and what follows from them."""
     calibration = stored_calibration(results["calibration"])
     shown = shown_files(results, calibration, "camera", TARGET, held, HEAD)
-    for name, data in {
-        "results.json": canonical_json(results),
-        "views.h5": views_file(held),
-        **shown,
-    }.items():
+    files = {"results.json": canonical_json(results), "views.h5": views_file(held), **shown}
+    for name, data in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
 

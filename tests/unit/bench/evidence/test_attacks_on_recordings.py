@@ -5,7 +5,6 @@ import pytest
 from bench.again.run import check_run_again
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
-    by_another_program,
     checked,
     forged_focal_length,
     in_views,
@@ -13,6 +12,7 @@ from tests.unit.bench.evidence.attack_steps import (
     other_truth,
     paint,
     rederive,
+    result,
     swap_captures,
 )
 
@@ -30,37 +30,17 @@ def test_the_untouched_run_is_valid_and_follows_from_its_recordings(run_once, tr
 QUICK = ("focal length in every file", "image painted over")
 
 
-def in_results(change):
-    return lambda f: f.edit_results(change)
-
-
 def other_gate(f):
     f.edit_line("attempt_checked", lambda d: d["gates"][0].update(value=999))
     f.edit_results(lambda r: r["gates"][0].update(value=999))
 
 
-def a_third_of_u(f):
-    """Every standard uncertainty is a third, and everything names another program."""
-
-    def change(results):
-        calibration = results["calibration"]
-        covariance = calibration["covariance"]
-        covariance["matrix"] = [[value / 9 for value in row] for row in covariance["matrix"]]
-        calibration["sigma"] = {name: sigma / 3 for name, sigma in calibration["sigma"].items()}
-
-    by_another_program(f, program="1" * 16)
-    f.edit_results(change)
-    sigma = f.results["calibration"]["sigma"]
-    f.edit_line("solved", lambda data: data.update(sigma={name: sigma[name] for name in data["sigma"]}))
-
-
 AGAIN = {
-    "a third of every uncertainty by another program": (a_third_of_u, "results.json"),
     "focal length in every file": (forged_focal_length, "results.json"),
     "stars moved in the views": (in_views(move_star), "views.h5"),
     "image painted over": (paint, "views.h5"),
     "truth of the simulated world": (other_truth, "results.json"),
-    "witnesses removed": (in_results(lambda r: r["calibration"].update(witnesses=[])), "results.json"),
+    "witnesses removed": (result("calibration", "witnesses", to=[]), "results.json"),
     "gate of a recording in journal and results": (other_gate, "journal.jsonl"),
     "recordings exchanged, every hash put right": (swap_captures, "journal.jsonl"),
 }

@@ -16,11 +16,6 @@ from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import copied, kinds, reseal
 
 
-@pytest.fixture
-def other_key(tmp_path):
-    return create_key(tmp_path / "other", principal="mallory@lab.example")
-
-
 def test_the_untouched_bundle_passes(sealed_once, signers, key):
     verification = verify_folder(sealed_once, signers, camera_serial="00050423")
     assert verification.ok
@@ -56,7 +51,8 @@ def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
     assert faults == [("results", "results.json"), ("signature", "SHA256SUMS.sig")]
 
 
-def test_a_bundle_signed_by_another_key_is_found(sealed, signers, other_key):
+def test_a_bundle_signed_by_another_key_is_found(sealed, signers, tmp_path):
+    other_key = create_key(tmp_path / "other", principal="mallory@lab.example")
     (sealed / "exports/opencv.yaml").write_text("fx: 1\n")
     reseal(sealed, other_key)
     verification = verify_folder(sealed, signers)
@@ -170,9 +166,7 @@ def test_what_is_no_run_folder_is_an_error(tmp_path):
 
 
 DAMAGE = {
-    "changed": lambda data: (
-        data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 0x80]) + data[len(data) // 2 + 1 :]
-    ),
+    "changed": lambda data: data[: (at := len(data) // 2)] + bytes([data[at] ^ 0x80]) + data[at + 1 :],
     "cut": lambda data: data[: len(data) // 2],
     "longer": lambda data: data + b"x",
     "empty": lambda _data: b"",

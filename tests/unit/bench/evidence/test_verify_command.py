@@ -22,11 +22,14 @@ def told_by_command(folder, home, *words):
         return CliRunner().invoke(cli, ["verify", str(folder), *words], standalone_mode=False)
 
 
-def test_the_command_says_first_what_the_folder_is_worth(run_once, bench_home):
-    ended = told_by_command(run_once, bench_home)
+@pytest.mark.parametrize(
+    ("words", "says"), [([], "not compared with the recordings"), (["--again"], "made again")]
+)
+def test_the_command_says_first_what_the_folder_is_worth(run_once, bench_home, words, says):
+    ended = told_by_command(run_once, bench_home, *words)
     assert ended.return_value == 0, ended.output
     assert ended.stdout.startswith("SEALED: ")
-    assert "not compared with the recordings" in ended.stdout.splitlines()[0]
+    assert says in ended.stdout.splitlines()[0]
     assert "own clock" in ended.stdout.splitlines()[1]
     assert "SIMULATED" in ended.stdout
 
@@ -75,12 +78,6 @@ def test_another_bench_has_no_ledger_for_the_run_and_that_is_no_fault(run_once, 
     ended = told_by_command(run_once, tmp_path / "elsewhere", "--allowed-signers", signers)
     assert ended.return_value == 0, ended.output
     assert "no ledger confirms" in ended.stdout
-
-
-def test_again_says_first_that_the_numbers_were_compared(run_once, bench_home):
-    ended = told_by_command(run_once, bench_home, "--again")
-    assert ended.return_value == 0, ended.output
-    assert "made again" in ended.stdout.splitlines()[0]
 
 
 # ---------------------------------------------------------------- what happens to any archive
