@@ -17,17 +17,16 @@ from bench.evidence.private_files import refuse_readable_by_others
 from bench.evidence.signers import read_public_key
 from bench.evidence.ssh_keys import check_key, fingerprint
 from bench.evidence.sshsig import Ed25519Signer, SigningKey
-from bench.record.storage import storage_errors
+from bench.record.storage import open_to_read
 
 _MOST_BYTES = 1 << 20  # No answer of an agent and no key is as long
 
 
 def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
     """Load a person's key from a file in OpenSSH's format or PEM (PKCS#8), which other users cannot read."""
-    with storage_errors(path):
+    with open_to_read(path) as stream:
         refuse_readable_by_others(path)
-        with path.open("rb") as stream:
-            data = stream.read(_MOST_BYTES)
+        data = stream.read(_MOST_BYTES)
     load = serialization.load_ssh_private_key if b"OPENSSH" in data else serialization.load_pem_private_key
     passphrase = b""
     try:
@@ -65,7 +64,7 @@ def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path
     if name is None or name.startswith("SHA256:"):
         return _agent_key(name, agent)
     path = Path(name)
-    with storage_errors(path), path.open("rb") as stream:
+    with open_to_read(path) as stream:
         text = stream.read(_MOST_BYTES)
     try:
         public_key = read_public_key(text.decode(errors="replace"))

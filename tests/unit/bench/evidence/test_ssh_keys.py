@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import os
 import shutil
 import subprocess
 from contextlib import suppress
@@ -15,9 +16,9 @@ from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.base.errors import EvidenceError
+from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.openssh import NotInstalled
-from bench.evidence.personal_key import load_file_key
+from bench.evidence.personal_key import find_key, load_file_key
 from bench.evidence.ssh_keys import check_key, encode_public_key, string
 from bench.evidence.sshsig import Ed25519Signer, is_valid, read_signature
 
@@ -72,6 +73,10 @@ def test_a_key_that_others_can_read_or_that_is_none_is_refused(tmp_path):
     path.write_text("-----BEGIN OPENSSH PRIVATE KEY-----\nbm90aGluZw==\n-----END OPENSSH PRIVATE KEY-----\n")
     with pytest.raises(EvidenceError, match="cannot be used"):
         load_file_key(path, no_passphrase)
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    for read in (load_file_key, lambda path, ask: find_key(str(path), None, ask)):
+        with pytest.raises(StorageError, match="a pipe"):
+            read(tmp_path / "pipe", no_passphrase)
 
 
 @needs_ssh_keygen
