@@ -20,7 +20,7 @@ from bench.extras.certificate.certificate_data import Certificate, Run, Software
 from bench.extras.certificate.series import amending
 from bench.record.ledger import Ledger
 from bench.record.results import Results
-from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY, is_sealed
+from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY, require_run
 from bench.record.storage import read_bounded, sha256_of, storage_errors
 from bench.record.stored_run import StoredRun
 
@@ -123,7 +123,8 @@ class Source:
 
 def read_sealed_run(folder: Path, verify: Verify) -> Source:
     """Verify a finished run with ``verify``, and read what a certificate needs; `EvidenceError` if it may have none."""
-    if not is_sealed(folder):
+    if not StoredRun(folder).is_sealed:
+        require_run(folder)
         raise EvidenceError(
             "This run is not sealed: a certificate is made from a sealed run only.",
             where=str(folder),

@@ -241,12 +241,13 @@ ENDED_LATER = {**sample_results()["run"], "finished_utc": (NOW + timedelta(days=
     ("change", "error", "named"),
     [
         (unsealed, EvidenceError, "is not sealed"),
+        (lambda lab: setattr(lab, "run", lab.path), RunFolderError, "is not a run folder"),
         (lambda lab: (lab.path / "certificate").touch(), UsageError, "already exists"),
         (of_results(run=OF_A_BOARD), EvidenceError, "a board"),
         (of_results(poses=None), RunFolderError, "have another form: poses is of another type"),
         (of_results(run=ENDED_LATER), EvidenceError, "but the calibration ended on 2026-11-22"),
     ],
-    ids=["not sealed", "folder exists", "board", "another form", "ends after its issue"],
+    ids=["not sealed", "no run", "folder exists", "board", "another form", "ends after its issue"],
 )
 def test_what_cannot_become_a_certificate_is_refused_and_takes_no_number(lab, change, error, named):
     change(lab)
