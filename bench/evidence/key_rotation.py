@@ -13,10 +13,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from bench.base.errors import EvidenceError
 from bench.evidence.keys import NEW_KEY, BenchKey, finish_rotation, private_text
 from bench.evidence.public_half import KEY_FILE, read_public
-from bench.evidence.signers import (
-    read_signer,
-    replace_lines,
-)
+from bench.evidence.signers import read_signer, replace_lines
 from bench.evidence.ssh_keys import fingerprint
 from bench.record.folder_lock import locked_folder
 from bench.record.storage import make_folder, storage_errors, write_atomic

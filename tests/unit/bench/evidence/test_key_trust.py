@@ -17,7 +17,6 @@ from bench.evidence.revoked_keys import RevokedKey, read_revoked, revoke
 from bench.evidence.signers import (
     NAMESPACE,
     Signer,
-    read_signer,
     read_signers,
     replace_lines,
     time_text,
@@ -93,25 +92,34 @@ def test_one_of_several_lines_of_a_key_is_enough():
         assert (judge_key(KEY, NAMESPACE, Trust(lines), moments).principal is not None) is accepted
 
 
+OURS = f'namespaces="{NAMESPACE}"'
+OTHERS, END = 'namespaces="git"', 'valid-before="20990101"'
+UNTRUSTED = ("starbench-*,!starbench-report@v1", "!git", "", ",", "[s]*", "STARBENCH-report@v1")
+
+
 @pytest.mark.parametrize(
-    ("patterns", "may"),
+    ("form", "may"),
     [
-        (("starbench-*",), True),
-        (("starbench-report@v?",), True),
-        (("starbench-*", "!starbench-report@v1"), False),
-        (("!git",), False),
-        (("STARBENCH-report@v1",), False),
-        (("[s]*",), False),
+        *((f"a@lab {OURS} %s{more}", True) for more in ("\r\n", " b\r!", " b\u2028!", "\n#\x85!")),
+        *((f'a@lab namespaces="{names}" %s', True) for names in ("starbench-*", "starbench-report@v?")),
+        *((f'a@lab namespaces="{names}" %s', False) for names in UNTRUSTED),
+        *((f"{text}a@lab %s", False) for text in ("# b\r", "# b\u2028", "# b\x0c", "\x0c", "\r", "!", "*,!")),
+        *((f"a@lab {options} %s", False) for options in (f"{OTHERS},{OURS}", f"{OURS},{OTHERS}", f"{OURS},")),
+        *((f"a@lab {options} %s", False) for options in ("namespaces", f"{OURS} {END}", f"{END},{END}")),
+        (f"a@lab b,{OURS} %s", False),
+        ("a@lab %s\u2028", False),
     ],
 )
-def test_patterns_are_those_of_ssh(patterns, may):
-    assert Signer("b@l", KEY, patterns).may_sign(NAMESPACE) is may
-
-
-@pytest.mark.parametrize("name", ["\x1b[2Jada@lab", "ada\x7f@lab", "\u202eada@lab"])
-def test_a_name_that_cannot_be_printed_is_refused(name):
-    with pytest.raises(EvidenceError, match="cannot be printed"):
-        read_signer(Signer(name, KEY).line)
+def test_a_key_is_trusted_as_ssh_keygen_trusts_it(tmp_path, form, may):
+    home, key = tmp_path / "home", create_key(tmp_path / "home", principal="a@lab")
+    folder = sealed_at(tmp_path, "run", key, datetime.now(UTC))
+    (home / "allowed_signers").write_bytes((form % key.public_text).encode())
+    try:
+        trusted = any(not s.rejection(NAMESPACE, day(0)) for s in read_signers(home / "allowed_signers"))
+    except EvidenceError as error:
+        trusted = "allowed_signers:1: " not in str(error)
+    assert trusted is may
+    assert shutil.which("ssh-keygen") is None or ssh_accepts(home, "a@lab", folder) is may
 
 
 # ------------------------------------------------------------------ replacing the key

@@ -191,17 +191,12 @@ H = "0" * 64
 @pytest.mark.parametrize(
     "text",
     [
-        f"{H} a\n",
-        f"{H} *a\n",
-        f"{H[:-1]}  a\n",
-        f"{H[:-1]}G  a\n",
-        f"{H}  ../a\n",
-        f"{H}  /etc/passwd\n",
-        f"{H}  a/./b\n",
-        f"{H}  b\n{H}  a\n",
-        f"{H}  a\n{H}  a\n",
-        f"{H}  SHA256SUMS\n",
-        f"{H}  a\nrest",
+        *(
+            f"{H} {name}\n"
+            for name in ("a", "*a", " ../a", " /etc/passwd", " a/./b", " SHA256SUMS", " a\nrest")
+        ),
+        *(f"{H[:-1]}{odd}  a\n" for odd in ("", "G")),
+        *(f"{H}  {first}\n{H}  a\n" for first in "ab"),
         f"\\{H}  a\\nb\n",
         "\n",
     ],
