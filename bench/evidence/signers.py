@@ -144,6 +144,8 @@ def _fields(line: str) -> tuple[str, dict[str, str], str]:
     pairs = _OPTION.findall(parts["options"] or "")
     if len(dict(pairs)) < len(pairs):
         raise ValueError("it has an option twice")
+    if any(value.rstrip("Z") <= "19700101000000" for name, value in pairs if name != "namespaces"):
+        raise ValueError("it has a time before 1970, which ssh-keygen refuses")
     if not f"{parts['signer']}{parts['options']}".isprintable():
         raise ValueError("it has characters that cannot be printed")
     return parts["signer"], dict(pairs), " ".join(parts["key"].split())

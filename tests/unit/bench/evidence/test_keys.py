@@ -120,7 +120,7 @@ def test_the_folder_of_keys_follows_the_environment():
 LINE = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIOMqqnkVzrm0SdG6UOoqKLsabgH5C9okWi0dh2l9GKJl"
 NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
 NO_TIMES = (
-    "tomorrow", "", "20261301", "\uff12\uff10\uff12\uff16\uff10\uff11\uff10\uff11", "00010101", "20260101ZZ",
+    "tomorrow", "", "20261301", "\uff12\uff10\uff12\uff16\uff10\uff11\uff10\uff11", "00010101", "20260101ZZ", "19700101Z",
 )  # fmt: skip
 
 
