@@ -19,8 +19,7 @@ from bench.solve.results_content import other_software
 from calib.arrays import Array
 from calib.calibration import ENGINES
 
-_WORK = "iterations"
-"""A number of work, not of a result: rounding may change it."""
+_WORK = "iterations"  # A number of work, not of a result: rounding may change it
 _COVARIANCES = ("matrix", "covariance_rad2", "sight_covariance_rad2")
 MOST_SHOWN = 12
 """Differences of one file that are shown one by one: what changed is seen from the first ones."""

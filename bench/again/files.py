@@ -34,8 +34,7 @@ _REPORT_BY = ("starbench", "report_form", "numpy", "opencv-python-headless")
 _EXPORTS_BY = ("starbench", "export_form", "opencv-python-headless")
 _AROUND = 30  # Bytes: the words around a difference
 _ENGINE = "calibration.engine"
-_K_OF_STAR = 2.0
-"""U of a star's place is 2 sigma."""
+_K_OF_STAR = 2.0  # U of a star's place is 2 sigma
 
 
 @dataclass(frozen=True)

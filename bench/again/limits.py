@@ -57,6 +57,7 @@ class Rules:
     rest: float = 0.0  # Share
     own: Mapping[str, Any] = field(default_factory=dict)  # Limits by name: a number, or the form of the value
     converted: float = 0.0  # Share of what is stated in the unit of an unknown
+    least: float = CANCELLED  # By as much, what is calculated may always differ
 
     def inside(self, where: str, name: str, held: Mapping[str, Any], limit: Any) -> Any:
         """Return the limit of what a mapping holds under a name, None for the usual one; ``limit`` is the mapping's."""
@@ -74,12 +75,14 @@ class Rules:
         if not (isinstance(stored, float) and isinstance(derived, float) and math.isfinite(stored)):
             return bool(stored == derived) and isinstance(stored, bool) == isinstance(derived, bool)
         size = max(abs(stored), abs(derived))
-        usual = max(MOST_SHARE * size, ROUNDING * scale) if self.calculated.match(where) else self.rest * size
+        share = max(MOST_SHARE * size, ROUNDING * scale, self.least)
+        usual = share if self.calculated.match(where) else self.rest * size
         return abs(stored - derived) <= max(usual if limit is None else limit, CANCELLED)
 
 
 EXACT = Rules()
-OF_RECORDING = Rules(_OF_PIXELS, ROUNDING)
+# On other processors, a motion differs by 1e-4 px, which may be more than a twentieth of it.
+OF_RECORDING = Rules(_OF_PIXELS, ROUNDING, least=0.001)
 
 
 def rules_of_results(results: Mapping[str, Any]) -> Rules:
