@@ -223,11 +223,14 @@ def kalibr_camera(camera: CameraModel, camera_name: str) -> tuple[bytes, dict[st
             f"# Kalibr's radtan has no k3. These values were fitted to those of results.json: they project the same"
             f" within {change_px:.1g} px.\n"
         ).encode()
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, *opencv_coefficients(camera)[:4].tolist())
+    # The last digits of fitted values are others on other processors.
+    numbers = [float(f"{value:.{12 if remark else 17}g}") for value in values]
     return remark, {
         "camera_model": "pinhole",
-        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "intrinsics": numbers[:4],
         "distortion_model": "equidistant" if camera.is_fisheye else "radtan",
-        "distortion_coeffs": opencv_coefficients(camera)[:4].tolist(),
+        "distortion_coeffs": numbers[4:],
         "resolution": list(camera.image_size),
         "rostopic": f"/{camera_name}/events",
         "cam_overlaps": [],
