@@ -23,7 +23,7 @@ CANCELLED = 1e-9  # Numbers of this size are 0
 # Places of results.json that are calculated; all else is copied from journal and documents.
 _OF_STARS = r"(calibration|projection|halves|gimbal|parallax|mount_faces|check|comparison|conformity)\b"
 _IN_RESULTS = re.compile(_OF_STARS + r"|previous\.change|poses\[\d+\]\.(rms|mean)_px|gates\[\d+\]\.value")
-_WITH_U = re.compile(_OF_STARS + r"|gates|gimbal_readings")
+_WITH_U = re.compile(_OF_STARS + r"|gates|gimbal_readings|previous$")
 # Of the journal: all else is counted, or the time of a trigger.
 _OF_PIXELS = re.compile(r".*(measured\.(grid|motion_px|edge_width_px)|gates\[\d+\]\.value)")
 _DEGREE = math.radians(1)
@@ -99,6 +99,10 @@ def rules_of_results(results: Mapping[str, Any]) -> Rules:
     values = {name: most.get(name, share * abs(at)) for name, at in placed.items() if isinstance(at, float)}
     centre = [values[name] for name in "xyr"] if calibration["collimator"] else (turn + share) * far
     own = {"camera": values, "collimator": values, "rotation": max(turn, ROUNDING), "centre_mm": centre}
+    if projection := results.get("projection"):  # A change since the last run may be far smaller than U
+        corner = MOST_OF_U * projection["worst_corner"]["expanded_px"]
+        change = dict.fromkeys(("rms_px", "largest_px", "px_there"), corner) | {"largest_ratio": MOST_OF_U}
+        own["change"] = change | {"at_px": math.inf}  # Several places can be alike
     return Rules(_IN_RESULTS, 0.0, {**_BY_NAME, **own}, share)
 
 

@@ -89,6 +89,7 @@ def test_a_covariance_is_compared_in_units_of_its_sigmas(stored):
 
 CERTIFICATE = {"stated": 255.0, "sigma": 0.05, "expected": 254.8, "expected_sigma": 0.2, "innovation": 0.01}
 LIMIT = {"result": "fx", "lower": 3340.0, "upper": None, "value": 3346.0, "expanded": 4.3}
+PREVIOUS = {"calibration": {"camera": {"fx": 3345.0}}, "change": {"rms_px": 0.01, "largest_ratio": 0.02}}
 GIMBAL = {"values": {"mounting_x": 2e-4}, "sigma": {"mounting_x": 0.025}}
 
 
@@ -115,11 +116,15 @@ GIMBAL = {"values": {"mounting_x": 2e-4}, "sigma": {"mounting_x": 0.025}}
         (("calibration", "views", 0, "centre_mm", 0), 96.02, False),
         (("calibration", "views", 0, "centre_mm", 0), 96.03, True),
         (("gimbal", "scale", "pan_deg"), 1.00003, True),
+        (("previous", "change", "rms_px"), 0.013, False),
+        (("previous", "change", "rms_px"), 2.0, True),
+        (("previous", "change", "largest_ratio"), 0.2, True),
+        (("previous", "calibration", "camera", "fx"), 3345.001, True),
     ],
 )
 def test_what_is_copied_may_not_differ_and_what_has_a_u_by_a_tenth_of_it(stored, path, value, is_told):
     """What may differ does by less on other processors and with other threads."""
-    again = {**stored, "conformity": {"statements": [LIMIT]}}
+    again = {**stored, "conformity": {"statements": [LIMIT]}, "previous": PREVIOUS}
     again["calibration"] = {**stored["calibration"], "witnesses": [CERTIFICATE], "gimbal": GIMBAL}
     had = copy.deepcopy(again)
     set_at(had, path, value)
