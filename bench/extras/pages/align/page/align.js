@@ -65,6 +65,7 @@ function showState(next) {
   showHands();
   showLines();
   showOldPicture();
+  if (picture && picture.number) showTurn(picture.figures.turn); // the stage may not be homed any more
   for (const input of document.querySelectorAll(".controls button, .controls input, .controls select")) {
     if (input.closest("[data-free]")) continue;
     input.dataset.barred = state.devices.state === "open" && holds() ? "" : "1";
