@@ -192,7 +192,7 @@ PoseSetOrName = Annotated[
 class SettleConfig(StrictModel):
     """Keep the stage still, so that vibrations decay before a recording."""
 
-    duration_s: Annotated[float, Field(ge=0, le=3600)] = 0.5
+    duration_s: Annotated[float, Field(ge=0, le=3600)] = 0.5  # Chosen; `max_motion_px` finds what still moves
 
 
 class GateConfig(StrictModel):
@@ -206,13 +206,13 @@ class GateConfig(StrictModel):
     """Every flicker period must have its sync edge."""
     max_motion_px: NotNegative = 0.05  # As `event_image.MOVING_PX` of the engine, whose reason stands there
     """Image motion between the two halves of the window."""
-    max_triggers_missed: NotNegative = 1
+    max_triggers_missed: NotNegative = 1  # An edge may fall on an end of the window
     max_trigger_jitter_us: NotNegative | None = None
     max_flicker_off_percent: NotNegative | None = None
     """Measured frequency against the set one; default 0.1 by triggers, 0.5 by events."""
     max_flicker_disagreement_percent: NotNegative | None = None
     """Frequency by triggers against frequency by events; default 0.5, 5 under a sine."""
-    max_rate_controller_loss_percent: NotNegative = 1.0
+    max_rate_controller_loss_percent: NotNegative = 1.0  # Chosen
     max_silent_rows: NotNegative = 3
     """Rows without events between rows with events: some are dead in some cameras; more hide parts of stars."""
     max_hot_pixels: NotNegative | None = None
@@ -236,12 +236,12 @@ class RecordConfig(StrictModel):
     window_ms: Annotated[float, Within(0.01, 60_000, "ms")] = 33.0
     """Rounded to whole flicker periods."""
     image: ImageKind = "auto"
-    attempts: Annotated[int, Field(ge=1, le=20)] = 2
+    attempts: Annotated[int, Field(ge=1, le=20)] = 2  # The second tells a chance from a fault
     backoff_s: Annotated[float, Field(ge=0, le=600)] = 0.0
     """Pause before the second attempt. Each further pause is twice as long."""
     on_failure: OnFailure = "fail"
     """What to do when no attempt is left."""
-    hold_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 3600.0
+    hold_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 3600.0  # Chosen: a person can come
     """How long hold waits for an answer."""
     gates: GateConfig = GateConfig()
 
@@ -257,7 +257,7 @@ class PromptConfig(StrictModel):
 
     text: Annotated[str, Field(min_length=1, max_length=500)]
     default: Answer = "abort"
-    timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0
+    timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0  # Chosen: a person is in the room
 
 
 class ReportConfig(StrictModel):
@@ -271,7 +271,7 @@ class UntilConfig(StrictModel):
     """Goal: expanded uncertainty of fx."""
     worst_corner_px: Limit = None
     """Goal: largest expanded uncertainty of a corner of the image."""
-    at_most: Annotated[int, Field(ge=2, le=500)] = 25
+    at_most: Annotated[int, Field(ge=2, le=500)] = 25  # One more lowers U by 2 % at best, by the square root
     """Accepted recordings of this step, those of start included."""
     minutes: Annotated[float, Field(gt=0, le=10_080, description="Time that the step works.")] | None = None
     start: PoseSetOrName | None = None
