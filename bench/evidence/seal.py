@@ -112,8 +112,8 @@ def seal(folder: RunFolder, key: BenchKey) -> str:
         raise EvidenceError(
             f"The folder of this run was moved, renamed or deleted during the run: {JOURNAL} is not here any more.",
             where=str(folder.path),
-            remedy="The journal, and what was written before, are in the folder with its new name; what was written"
-            " after that is here. Move it there, then seal that folder: `starbench resume FOLDER`.",
+            remedy="The moved folder has the journal and all earlier files. This folder has the later files. Move them"
+            " to the moved folder. Then seal that one: `starbench resume FOLDER`.",
         )
     folder.release_reserve()
     return seal_folder(folder.path, key)

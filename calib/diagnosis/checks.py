@@ -73,7 +73,7 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
     """Return a sentence for each doubt about views without gross errors, before an adjustment: size, duplicates, unit.
 
     ``known_r_mm`` is the collimator's radius from a passport, a certificate or a data sheet.
-    Raises InputMismatch: If points lie outside of the image size, or the target has two units, or another than stated.
+    Raises InputMismatch: If points lie outside of the image, or X and Y, or target and r, are in different units.
     """
     require_points_inside(views)
     _require_one_unit(views)

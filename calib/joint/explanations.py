@@ -172,7 +172,7 @@ def _moved_otherwise(
 
 
 def _with_other_length(explanations: Sequence[_Explanation]) -> list[_Explanation]:
-    """Return explanations, the most probable one by each length that a certificate may state.
+    """Return the most probable explanation, and beside it the one by the other length of a certificate.
 
     A hand's pupils are found with the one length, and hide how far off it is. So the other one has pupils of its own.
     """

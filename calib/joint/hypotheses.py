@@ -29,7 +29,7 @@ ANOTHER_THING = Hypothesis("a statement is about another thing", 1e-3)
 #: Nobody measured it: lithography makes pixels square to 1e-5, so it takes another lens, or images made larger.
 NOT_SQUARE = Hypothesis("an image is stretched, so that its pixels are not square", 1e-3)
 #: Makers state the one, benches measure the other; neither is a fault.
-OTHER_LENGTH = Hypothesis("a certificate that does not say so states the focal length", 1.0, rows.PASSPORT)
+OTHER_LENGTH = Hypothesis("a certificate states the focal length, but does not say so", 1.0, rows.PASSPORT)
 #: Nobody measured it, and halls drift by 3 K a night.
 UNSTEADY = Hypothesis("the focal length changes more than by 1 K", 0.1 / 0.9)
 #: One setting scales them all.

@@ -17,7 +17,7 @@ def denied(path, *_args, **_more):
 
 
 def faults_of(read, *words):
-    """Read a document that must be refused; return each of its faults as text."""
+    """Read a wrong document; return its faults as texts."""
     with pytest.raises(DocumentFaults) as refused:
         read(*words)
     return [str(fault) for fault in refused.value.faults]

@@ -103,7 +103,7 @@ def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
 
 @pytest.mark.parametrize("words", ["run three_pose -s simulated -o", "calibrate . --each -o", "station new"])
 def test_no_output_is_written_into_a_sealed_folder(say, tmp_path, words):
-    """Also through a link, and where the mode does not protect it: as root, or on FAT."""
+    """A link leads into it, too. Root may write there, and FAT has no modes."""
     (tmp_path / "run/captures").mkdir(parents=True)
     (tmp_path / "run/SHA256SUMS.sig").touch()
     (tmp_path / "link").symlink_to("run/captures")
